@@ -1,0 +1,226 @@
+"""The arrays that pass between stages.
+
+Every table is a frozen dataclass of C-contiguous arrays with fixed dtypes.
+Faces, vertices, components and edges are grouped by object; an object's part
+of a table is the half-open range ``start[i]:start[i + 1]`` of its offset array.
+
+    SourceMesh  --weld-->  Mesh  --repair-->  Mesh + Adjacency + findings
+                --planes-->  PlaneTable  --edges-->  EdgeTable
+
+Frames: a *source* position is in the file's own coordinates (float64, metres,
++z up); a *cache* position is ``source - grid.origin_m``, an exact multiple of
+``grid.step_m`` that float32 holds without rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+NO_INDEX: Final = 0xFFFFFFFF
+"""The one sentinel of every uint32 index: no face, no edge, no object."""
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
+BOOL = NDArray[np.bool_]
+
+
+class EdgeKind(IntEnum):
+    """What an edge record is. Values are stored in the cache."""
+
+    PAIR = 0
+    """An edge of exactly two faces that wind consistently."""
+    BORDER = 1
+    """One face: an edge with a single face, or half of a cut edge, whose two
+    faces run the same way and cannot be turned to agree."""
+    SPLIT = 2
+    """From an edge of three or more faces: a consistently wound pair of them,
+    or one left over (Steiner 2006, A.2, edge duplication)."""
+
+
+class EdgeFlag(IntFlag):
+    """Bits of `EdgeTable.flags`: the kind in bits 0-1, planar in bit 2."""
+
+    KIND_MASK = 3
+    PLANAR = 4
+
+
+class ComponentFlag(IntFlag):
+    """Bits of `Components.flags`."""
+
+    CLOSED = 1
+    """Every edge record of the component holds two of its faces."""
+    SOLID = 2
+    """Closed, outward and free of self-intersection: safe for the closed volume."""
+    INVERTED = 4
+    """Closed, and turned outward by the repair."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceFile:
+    """One input file as it was read."""
+
+    path: str
+    """As the user named it."""
+    format: str
+    """``"obj"``, ``"ply"``, ``"stl"``, ``"off"``, ``"glb"`` or ``"gltf"``."""
+    n_bytes: int
+    sha256: str
+    """Of the file's bytes on disk (of the compressed bytes for ``.gz``)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FaceFindings:
+    """Defects that are attached to single source faces, one row each."""
+
+    code: NDArray[np.uint16]
+    """``(n,)``: `Code` values (see `svprep.defects`)."""
+    object_index: U32
+    """``(n,)``: index into the object list."""
+    source_face: U32
+    """``(n,)``: 0-based ordinal of the face in its source file."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceMesh:
+    """What a reader returns: triangles in source coordinates, grouped by object.
+
+    Nothing has been welded, moved, flipped or dropped yet, except source faces
+    that are not surfaces at all (fewer than three corners), which
+    `face_findings` lists.
+    """
+
+    positions: F64
+    """``(n_vertices, 3)`` [m], every one finite; some may be unused."""
+    faces: U32
+    """``(n_faces, 3)``, indices into `positions`; repeated corners are allowed."""
+    object_face_start: I64
+    """``(n_objects + 1,)``: object i owns the faces ``[start[i], start[i+1])``."""
+    source_face: U32
+    """``(n_faces,)``: 0-based ordinal of the polygon that each triangle came
+    from, in the order of its source file."""
+    object_names: tuple[str, ...]
+    object_source: U32
+    """``(n_objects,)``: index into `sources`."""
+    sources: tuple[SourceFile, ...]
+    face_findings: FaceFindings
+    """What the reader itself found (short or non-planar polygons)."""
+    notes: tuple[str, ...]
+    """One line each on what the file holds that is not a surface (lines,
+    points, empty groups) and on conversions made (y up to z up)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The quantisation grid: cache position = integer * step_m, |integer| <= 2**24."""
+
+    step_m: float
+    """[m], a power of two."""
+    origin_m: F64
+    """``(3,)`` [m], a multiple of the step: source = origin + cache position."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Triangles on the grid, welded per object; vertices and faces grouped by object."""
+
+    grid: Grid
+    positions: F32
+    """``(n_vertices, 3)`` [m] in the cache frame, exact multiples of the step."""
+    faces: U32
+    """``(n_faces, 3)``, indices into `positions`, none with a repeated corner
+    or zero area."""
+    object_vertex_start: I64
+    """``(n_objects + 1,)``"""
+    object_face_start: I64
+    """``(n_objects + 1,)``"""
+    source_face: U32
+    """``(n_faces,)``: 0-based ordinal of the source polygon in its file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """Connected components over edge records with two faces, grouped by object."""
+
+    object_start: I64
+    """``(n_objects + 1,)``: components of each object."""
+    face_start: I64
+    """``(n_components + 1,)``: faces are sorted by (object, component)."""
+    edge_start: I64
+    """``(n_components + 1,)``: so are edge records."""
+    flags: U8
+    """``(n_components,)``: `ComponentFlag` bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneTable:
+    """Plane records shared by connected faces that are coplanar within a tolerance."""
+
+    planes: F64
+    """``(n_planes, 4)``: ``(nx, ny, nz, d)`` in the cache frame, not normalised:
+    n = (b - a) x (c - a) [m^2] exactly, d = -n . a [m^3]."""
+    plane_of_face: U32
+    """``(n_faces,)``"""
+    tolerance_m: float
+    """[m]: no vertex of a face lies farther from its record's plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeTable:
+    """Every edge record: a pair of faces, or a single one. None is dropped.
+
+        v1          `left` traverses v0 -> v1, `right` the other way.
+        |           A record of one face holds NO_INDEX on the other side.
+    left|right
+        |
+        v0
+    """
+
+    rows: U32
+    """``(n_edges, 4)``: ``[v0, v1, f_left, f_right]``, ``v0 < v1``, sorted by
+    (object, component, v0, v1, f_left)."""
+    flags: U8
+    """``(n_edges,)``: `EdgeKind` in bits 0-1, `EdgeFlag.PLANAR` in bit 2."""
+
+
+@dataclass(frozen=True, slots=True)
+class RepairRecord:
+    """Every decision of weld and repair, so that it can be listed and checked."""
+
+    defect_counts: U32
+    """``(n_objects, len(DEFECTS))``: how often each defect occurs in each
+    object; column j is the j-th code of `svprep.defects.DEFECTS`."""
+    source_triangles: U32
+    """``(n_objects,)``: triangles before anything was dropped."""
+    face_findings: FaceFindings
+    """Defects of single source faces: every dropped or kept-with-a-remark face,
+    sorted by (object, code, source face)."""
+    flipped_faces: U32
+    """``(n_flipped,)``, ascending: faces of the mesh wound against their source."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A whole prepared city: what `pipeline.prepare` returns and a cache holds."""
+
+    sources: tuple[SourceFile, ...]
+    object_names: tuple[str, ...]
+    object_source: U32
+    """``(n_objects,)``: index into `sources`."""
+    mesh: Mesh
+    components: Components
+    planes: PlaneTable
+    edges: EdgeTable
+    repair: RepairRecord
+    config: dict[str, object]
+    """What the build was asked for: JSON values only; the same configuration and
+    sources give identical tables."""
+    notes: tuple[str, ...]
