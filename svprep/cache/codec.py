@@ -1,0 +1,350 @@
+"""`model.Prepared` to the stored arrays, and back.
+
+Encoding checks the contract of `svprep.model` as far as the stored form needs
+it; what cannot be stored exactly is our own bug, never rounded or dropped.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svprep import __version__
+from svprep.cache.schema import MAGIC, SCHEMA_VERSION
+from svprep.defects import DEFECTS
+from svprep.errors import CacheError, InternalError, first_few
+from svprep.model import (
+    F64,
+    I64,
+    NO_INDEX,
+    U8,
+    U32,
+    Components,
+    EdgeTable,
+    FaceFindings,
+    Grid,
+    Mesh,
+    PlaneTable,
+    Prepared,
+    RepairRecord,
+    SourceFile,
+)
+
+Raw = NDArray[np.generic]
+Fetch = Callable[[str], NDArray[np.generic]]
+"""Gives the stored array of a dataset path."""
+
+FACE_BLOCK = 1 << 17
+"""Faces per step of the loops over face geometry: keeps their float64 scratch in cache."""
+
+
+def encode_datasets(prepared: Prepared) -> dict[str, Raw]:
+    """Return the stored array of every declared dataset.
+
+    Raises
+    ------
+    InternalError
+        A table breaks the contract of `svprep.model`.
+    """
+    mesh, parts, edges = prepared.mesh, prepared.components, prepared.edges
+    findings = prepared.repair.face_findings
+    corners = _as("mesh.faces", mesh.faces, "<u4", (-1, 3)).reshape(-1)
+    positions = _as("mesh.positions", mesh.positions, "<f4", (-1, 3))
+    if len(corners) and int(corners.max()) >= len(positions):
+        raise InternalError("mesh.faces refers to vertices that do not exist")
+    names = [_name_bytes(name) for name in prepared.object_names]
+    name_start = np.concatenate(([0], np.cumsum([len(name) for name in names], dtype=np.int64)))
+    count_object, count_code, count = _sparse_counts(prepared.repair.defect_counts)
+    return {
+        "mesh/positions": positions,
+        "mesh/face_corners": corners,
+        "mesh/source_face": _as("mesh.source_face", mesh.source_face, "<u4", (-1,)),
+        "objects/vertex_start": _offsets("object_vertex_start", mesh.object_vertex_start),
+        "objects/face_start": _offsets("object_face_start", mesh.object_face_start),
+        "objects/component_start": _offsets("components.object_start", parts.object_start),
+        "objects/source": _as("object_source", prepared.object_source, "<u4", (-1,)),
+        "objects/name_start": _offsets("object name", name_start),
+        "objects/name_bytes": np.frombuffer(b"".join(names), np.uint8),
+        "components/face_start": _offsets("components.face_start", parts.face_start),
+        "components/edge_start": _offsets("components.edge_start", parts.edge_start),
+        "components/flags": _as("components.flags", parts.flags, "|u1", (-1,)),
+        "planes/face": face_of_plane(prepared.planes, mesh),
+        "planes/d": np.ascontiguousarray(prepared.planes.planes[:, 3], "<f8"),
+        "planes/plane_of_face": _as("plane_of_face", prepared.planes.plane_of_face, "<u4", (-1,)),
+        "edges/half_edges": half_edges_of_rows(corners, _as("rows", edges.rows, "<u4", (-1, 4))),
+        "edges/flags": _as("edges.flags", edges.flags, "|u1", (-1,)),
+        "repair/count_object": count_object,
+        "repair/count_code": count_code,
+        "repair/count": count,
+        "repair/source_triangles": _as(
+            "source_triangles", prepared.repair.source_triangles, "<u4", (-1,)
+        ),
+        "repair/finding_code": _as("finding code", findings.code, "<u2", (-1,)),
+        "repair/finding_object": _as("finding object", findings.object_index, "<u4", (-1,)),
+        "repair/finding_source_face": _as("finding face", findings.source_face, "<u4", (-1,)),
+        "repair/flipped_faces": _as("flipped_faces", prepared.repair.flipped_faces, "<u4", (-1,)),
+    }
+
+
+def encode_attributes(prepared: Prepared, crs: str = "") -> dict[str, bytes | Raw]:
+    """Return every root attribute but the two digests: texts as UTF-8, numbers as arrays."""
+    grid = prepared.mesh.grid
+    sources = [
+        {"format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256} for s in prepared.sources
+    ]
+    return {
+        "magic": MAGIC.encode(),
+        "schema_version": np.asarray(SCHEMA_VERSION, "<u4"),
+        "producer_version": __version__.encode(),
+        "source_paths": _json("source paths", [s.path for s in prepared.sources]),
+        "sources": _json("sources", sources),
+        "config": _json("config", prepared.config),
+        "notes": _json("notes", list(prepared.notes)),
+        "grid_step_m": np.asarray(grid.step_m, "<f8"),
+        "grid_origin_m": np.asarray(grid.origin_m, "<f8"),
+        "planar_tolerance_m": np.asarray(prepared.planes.tolerance_m, "<f8"),
+        "crs": crs.encode(),
+    }
+
+
+def _json(what: str, value: object) -> bytes:
+    """Return `value` as ASCII JSON with sorted keys: the same bytes for the same value."""
+    try:
+        text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InternalError(f"the {what} of a cache must be JSON: {error}") from error
+    return text.encode()
+
+
+def _as(what: str, array: Raw, dtype: str, shape: tuple[int, ...]) -> NDArray[np.generic]:
+    array = np.asarray(array)
+    fits = array.ndim == len(shape) and all(
+        want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits or array.dtype.newbyteorder("<") != np.dtype(dtype):
+        raise InternalError(
+            f"{what}: expected {np.dtype(dtype).name} of shape {shape}, "
+            f"got {array.dtype.name} of shape {array.shape}"
+        )
+    return np.ascontiguousarray(array, dtype)
+
+
+def _offsets(what: str, offsets: I64) -> NDArray[np.generic]:
+    array = np.asarray(offsets)
+    if array.ndim != 1 or array.dtype != np.int64 or not len(array):
+        raise InternalError(f"{what}: expected int64 offsets, got {array.dtype} {array.shape}")
+    if array[0] != 0 or array[-1] >= NO_INDEX or np.any(np.diff(array) < 0):
+        raise InternalError(f"{what}: offsets must rise from 0 and stay below 2**32 - 1")
+    return array.astype("<u4")
+
+
+def _name_bytes(name: str) -> bytes:
+    # surrogateescape: names read from files that are not UTF-8 survive unchanged.
+    try:
+        return name.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError as error:
+        raise InternalError(f"the object name {name!r} is not text: {error}") from error
+
+
+def _sparse_counts(dense: U32) -> tuple[Raw, Raw, Raw]:
+    dense = np.asarray(dense)
+    if dense.ndim != 2 or dense.shape[1] != len(DEFECTS) or dense.dtype != np.uint32:
+        raise InternalError(
+            f"defect_counts: expected uint32 of shape (n_objects, {len(DEFECTS)}), "
+            f"got {dense.dtype} of shape {dense.shape}"
+        )
+    codes = np.array([int(code) for code in DEFECTS], "<u2")
+    by_code = np.argsort(codes, kind="stable")
+    row, column = np.nonzero(dense[:, by_code])
+    return row.astype("<u4"), codes[by_code][column], dense[row, by_code[column]].astype("<u4")
+
+
+def half_edges_of_rows(corners: Raw, rows: U32) -> NDArray[np.generic]:
+    """Return ``(n_edges, 2)``: the left and right half-edge of each edge record.
+
+    Half-edge ``3 f + i`` runs from corner i of face f to the next; `NO_INDEX`
+    where the record has no face. O(n).
+    """
+    faces = corners.reshape(-1, 3)
+    half = np.full((len(rows), 2), NO_INDEX, "<u4")
+    for side, (start, end) in enumerate(((0, 1), (1, 0))):
+        has_face = rows[:, 2 + side] != NO_INDEX
+        face = rows[has_face, 2 + side]
+        if len(face) and int(face.max()) >= len(faces):
+            raise InternalError("edges.rows refers to faces that do not exist")
+        first, last = rows[has_face, start], rows[has_face, end]
+        corner = np.zeros(len(face), np.uint32)
+        found = np.zeros(len(face), np.bool_)
+        for i in range(3):
+            here = (faces[face, i] == first) & (faces[face, (i + 1) % 3] == last)
+            corner[here] = i
+            found |= here
+        if not found.all():
+            bad = np.flatnonzero(has_face)[~found]
+            raise InternalError(
+                f"edge records {first_few(bad)}: their {('left', 'right')[side]} face does not "
+                f"traverse {('v0 -> v1', 'v1 -> v0')[side]}"
+            )
+        half[has_face, side] = 3 * face + corner
+    return half
+
+
+def next_half_edge(half: U32) -> U32:
+    """Return the half-edge that follows each one around its face."""
+    return np.where(half % 3 == 2, half - np.uint32(2), half + np.uint32(1)).astype(np.uint32)
+
+
+def rows_of_half_edges(corners: U32, half: U32) -> U32:
+    """Return the edge records ``[v0, v1, f_left, f_right]`` of `half`: its inverse. O(n)."""
+    rows = np.empty((len(half), 4), np.uint32)
+    left, right = half[:, 0], half[:, 1]
+    on_left = left != NO_INDEX
+    any_half = np.where(on_left, left, right)
+    start, end = corners[any_half], corners[next_half_edge(any_half)]
+    rows[:, 0] = np.where(on_left, start, end)
+    rows[:, 1] = np.where(on_left, end, start)
+    rows[:, 2] = np.where(on_left, left // 3, NO_INDEX)
+    rows[:, 3] = np.where(right != NO_INDEX, right // 3, NO_INDEX)
+    return rows
+
+
+def face_normals(positions: Raw, faces: U32) -> F64:
+    """Return ``(n, 3) float64 [m^2]``: (b - a) x (c - a), exact for positions on the grid."""
+    a, b, c = (positions[faces[:, i]].astype(np.float64) for i in range(3))
+    b -= a
+    c -= a
+    n = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        n[:, i] = b[:, j] * c[:, k] - b[:, k] * c[:, j]
+    n += 0.0  # -0.0 becomes 0.0
+    return n
+
+
+def face_of_plane(table: PlaneTable, mesh: Mesh) -> NDArray[np.generic]:
+    """Return the first face of each plane record whose own normal is the record's."""
+    planes = _as("planes.planes", table.planes, "<f8", (-1, 4))
+    plane_of_face = _as("plane_of_face", table.plane_of_face, "<u4", (len(mesh.faces),))
+    if len(plane_of_face) and int(plane_of_face.max()) >= len(planes):
+        raise InternalError("plane_of_face refers to plane records that do not exist")
+    face = np.full(len(planes), NO_INDEX, "<u4")
+    # Last block first, and backwards inside it: of all assignments the lowest face's stays.
+    for start in reversed(range(0, len(mesh.faces), FACE_BLOCK)):
+        stop = min(start + FACE_BLOCK, len(mesh.faces))
+        plane = plane_of_face[start:stop]
+        same = (face_normals(mesh.positions, mesh.faces[start:stop]) == planes[plane, :3]).all(1)
+        own = np.flatnonzero(same)[::-1]
+        face[plane[own]] = own + start
+    if (orphans := np.flatnonzero(face == NO_INDEX)).size:
+        raise InternalError(
+            f"plane records {first_few(orphans)}: expected the exact normal of a face that "
+            "shares the record, found none"
+        )
+    return face
+
+
+def decode_mesh(fetch: Fetch, grid: Grid) -> Mesh:
+    """Return the mesh of a cache."""
+    return Mesh(
+        grid=grid,
+        positions=_native(fetch("mesh/positions"), np.float32),
+        faces=_native(fetch("mesh/face_corners"), np.uint32).reshape(-1, 3),
+        object_vertex_start=_native(fetch("objects/vertex_start"), np.int64),
+        object_face_start=_native(fetch("objects/face_start"), np.int64),
+        source_face=_native(fetch("mesh/source_face"), np.uint32),
+    )
+
+
+def decode_components(fetch: Fetch) -> Components:
+    """Return the components of a cache."""
+    return Components(
+        object_start=_native(fetch("objects/component_start"), np.int64),
+        face_start=_native(fetch("components/face_start"), np.int64),
+        edge_start=_native(fetch("components/edge_start"), np.int64),
+        flags=_native(fetch("components/flags"), np.uint8),
+    )
+
+
+def decode_planes(fetch: Fetch, tolerance_m: float) -> PlaneTable:
+    """Return the plane records of a cache: normals again from their faces, exactly."""
+    positions = fetch("mesh/positions")
+    faces = _native(fetch("mesh/face_corners"), np.uint32).reshape(-1, 3)
+    face, d = fetch("planes/face"), fetch("planes/d")
+    planes = np.empty((len(face), 4), np.float64)
+    for start in range(0, len(face), FACE_BLOCK):
+        block = slice(start, start + FACE_BLOCK)
+        planes[block, :3] = face_normals(positions, faces[face[block]])
+    planes[:, 3] = d
+    return PlaneTable(
+        planes=frozen(planes),
+        plane_of_face=_native(fetch("planes/plane_of_face"), np.uint32),
+        tolerance_m=tolerance_m,
+    )
+
+
+def decode_edges(fetch: Fetch) -> EdgeTable:
+    """Return the edge records of a cache."""
+    corners = _native(fetch("mesh/face_corners"), np.uint32)
+    half = _native(fetch("edges/half_edges"), np.uint32)
+    flags: U8 = _native(fetch("edges/flags"), np.uint8)
+    return EdgeTable(rows=frozen(rows_of_half_edges(corners, half)), flags=flags)
+
+
+def decode_repair(fetch: Fetch, n_objects: int) -> RepairRecord:
+    """Return the repair record of a cache.
+
+    Raises
+    ------
+    CacheError
+        A defect code that this svprep does not know.
+    """
+    codes = np.array([int(code) for code in DEFECTS], np.uint16)
+    row, code = fetch("repair/count_object"), fetch("repair/count_code")
+    is_column = code[:, None] == codes[None, :]
+    if not is_column.any(1).all():
+        unknown = np.unique(code[~is_column.any(1)])
+        raise CacheError(f"unknown defect codes {first_few(unknown)}")
+    dense = np.zeros((n_objects, len(codes)), np.uint32)
+    dense[row, is_column.argmax(1)] = fetch("repair/count")
+    return RepairRecord(
+        defect_counts=frozen(dense),
+        source_triangles=_native(fetch("repair/source_triangles"), np.uint32),
+        face_findings=FaceFindings(
+            code=_native(fetch("repair/finding_code"), np.uint16),
+            object_index=_native(fetch("repair/finding_object"), np.uint32),
+            source_face=_native(fetch("repair/finding_source_face"), np.uint32),
+        ),
+        flipped_faces=_native(fetch("repair/flipped_faces"), np.uint32),
+    )
+
+
+def decode_names(fetch: Fetch) -> tuple[str, ...]:
+    """Return the object names of a cache."""
+    blob = fetch("objects/name_bytes").tobytes()
+    start = fetch("objects/name_start").tolist()
+    return tuple(
+        blob[a:b].decode("utf-8", "surrogateescape")
+        for a, b in zip(start[:-1], start[1:], strict=True)
+    )
+
+
+def decode_sources(paths: object, sources: object) -> tuple[SourceFile, ...]:
+    """Return the source files from the two JSON attributes."""
+    if not isinstance(paths, list) or not isinstance(sources, list) or len(paths) != len(sources):
+        raise ValueError("sources and source_paths must be lists of one length")
+    return tuple(
+        SourceFile(str(path), str(s["format"]), int(s["n_bytes"]), str(s["sha256"]))
+        for path, s in zip(paths, sources, strict=True)
+    )
+
+
+def _native(array: Raw, dtype: type[np.generic]) -> NDArray:
+    return frozen(array.astype(dtype, copy=False))
+
+
+def frozen(array: NDArray) -> NDArray:
+    """Return `array`, made read-only."""
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,408 @@
+"""What a cache file holds: one declaration per dataset and per root attribute.
+
+Writer, reader, validator and FORMAT.md all derive from `DATASETS` and
+`ATTRIBUTES`. A change of any of them that an older reader would misread needs
+a new `SCHEMA_VERSION`.
+
+Two tables are stored in half the space that they take in memory, without loss:
+an edge record as its two half-edges (its vertices and faces follow from the
+face corners), and a plane record as a face that lies in it (its normal is the
+cross product of that face's sides, which is exact on the grid) and its ``d``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAGIC: Final = "svprep-cache"
+SCHEMA_VERSION: Final = 1
+
+LIBVER: Final = ("v108", "v108")
+"""HDF5 format bounds. Version 1.8 (2008) is the first that checksums its own
+metadata and takes attributes over 64 KiB, and every later library reads it."""
+
+DIGESTS_PATH: Final = "digests"
+DIGESTS_DTYPE: Final = np.dtype([("path", "S64"), ("sha256", "S64")])
+
+Role = Literal["", "offsets", "index", "index_or_none"]
+
+
+class Dim(NamedTuple):
+    """One length of a shape: ``times * symbol + plus``."""
+
+    symbol: str
+    times: int = 1
+    plus: int = 0
+
+    def __str__(self) -> str:
+        text = self.symbol if self.times == 1 else f"{self.times} * {self.symbol}"
+        return f"{text} + {self.plus}" if self.plus else text
+
+    def length(self, sizes: Mapping[str, int]) -> int:
+        """Return the length for known `sizes`."""
+        return self.times * sizes[self.symbol] + self.plus
+
+    def solve(self, length: int) -> int | None:
+        """Return the symbol's value that gives `length`, or None."""
+        value, rest = divmod(length - self.plus, self.times)
+        return value if rest == 0 and value >= 0 else None
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetSpec:
+    """One dataset: where it lies, its stored type and shape, and what it means."""
+
+    path: str
+    dtype: str
+    """NumPy notation with an explicit byte order: ``"<u4"``."""
+    shape: tuple[Dim | int, ...]
+    unit: str
+    """``""`` for plain numbers."""
+    meaning: str
+    role: Role = ""
+    """``"offsets"``: from 0 to `refers`, never falling. ``"index"``: below
+    `refers`. ``"index_or_none"``: likewise, or `NO_INDEX`."""
+    refers: Dim | None = None
+
+    @property
+    def shape_text(self) -> str:
+        """``"(n_edges, 2)"``."""
+        inner = ", ".join(str(n) for n in self.shape)
+        return f"({inner},)" if len(self.shape) == 1 else f"({inner})"
+
+
+@dataclass(frozen=True, slots=True)
+class AttributeSpec:
+    """One attribute of the root group."""
+
+    name: str
+    dtype: str
+    """``"utf8"``, ``"json"`` (UTF-8 text that is JSON) or NumPy notation."""
+    shape: tuple[int, ...]
+    unit: str
+    meaning: str
+    in_content: bool = True
+    """Whether `content_digest` covers it."""
+
+    @property
+    def is_text(self) -> bool:
+        return self.dtype in ("utf8", "json")
+
+
+V, F, O = Dim("n_vertices"), Dim("n_faces"), Dim("n_objects")  # noqa: E741
+C, P, E = Dim("n_components"), Dim("n_planes"), Dim("n_edges")
+SOURCES = Dim("n_sources")
+
+DATASETS: Final[tuple[DatasetSpec, ...]] = (
+    DatasetSpec(
+        "mesh/positions",
+        "<f4",
+        (V, 3),
+        "m",
+        "Vertex positions in the cache frame: exact multiples of `grid_step_m`, at most 2^24 "
+        "steps from zero. Source position = `grid_origin_m` + this.",
+    ),
+    DatasetSpec(
+        "mesh/face_corners",
+        "<u4",
+        (Dim("n_faces", 3),),
+        "",
+        "Vertex of each face corner, flat: face f has the corners 3 f, 3 f + 1, 3 f + 2. "
+        "Half-edge h runs from corner h to the next corner of its face, h // 3.",
+        "index",
+        V,
+    ),
+    DatasetSpec(
+        "mesh/source_face",
+        "<u4",
+        (F,),
+        "",
+        "0-based ordinal, in its source file, of the polygon that each face came from.",
+    ),
+    DatasetSpec(
+        "objects/vertex_start",
+        "<u4",
+        (O._replace(plus=1),),
+        "",
+        "Object i owns the vertices start[i] to start[i + 1] - 1.",
+        "offsets",
+        V,
+    ),
+    DatasetSpec(
+        "objects/face_start",
+        "<u4",
+        (O._replace(plus=1),),
+        "",
+        "Object i owns the faces start[i] to start[i + 1] - 1.",
+        "offsets",
+        F,
+    ),
+    DatasetSpec(
+        "objects/component_start",
+        "<u4",
+        (O._replace(plus=1),),
+        "",
+        "Object i owns the components start[i] to start[i + 1] - 1.",
+        "offsets",
+        C,
+    ),
+    DatasetSpec(
+        "objects/source",
+        "<u4",
+        (O,),
+        "",
+        "Source file of each object: index into the attribute `sources`.",
+        "index",
+        SOURCES,
+    ),
+    DatasetSpec(
+        "objects/name_start",
+        "<u4",
+        (O._replace(plus=1),),
+        "bytes",
+        "Object i is named by the bytes start[i] to start[i + 1] - 1 of `name_bytes`.",
+        "offsets",
+        Dim("n_name_bytes"),
+    ),
+    DatasetSpec(
+        "objects/name_bytes",
+        "|u1",
+        (Dim("n_name_bytes"),),
+        "",
+        "All object names, UTF-8, end to end (a byte that was not UTF-8 in the source is kept).",
+    ),
+    DatasetSpec(
+        "components/face_start",
+        "<u4",
+        (C._replace(plus=1),),
+        "",
+        "Component i owns the faces start[i] to start[i + 1] - 1.",
+        "offsets",
+        F,
+    ),
+    DatasetSpec(
+        "components/edge_start",
+        "<u4",
+        (C._replace(plus=1),),
+        "",
+        "Component i owns the edge records start[i] to start[i + 1] - 1.",
+        "offsets",
+        E,
+    ),
+    DatasetSpec(
+        "components/flags",
+        "|u1",
+        (C,),
+        "bits",
+        "1 closed: every edge record has two faces; 2 solid: closed, outward and free of "
+        "self-intersection; 4 inverted: the repair turned it outward.",
+    ),
+    DatasetSpec(
+        "planes/face",
+        "<u4",
+        (P,),
+        "",
+        "A face of each plane record. With its corners a, b, c the record's normal is "
+        "n = (b - a) x (c - a), exact in float64.",
+        "index",
+        F,
+    ),
+    DatasetSpec(
+        "planes/d",
+        "<f8",
+        (P,),
+        "m^3",
+        "The record's fourth number: its plane is n . x + d = 0, and n is not normalised.",
+    ),
+    DatasetSpec(
+        "planes/plane_of_face",
+        "<u4",
+        (F,),
+        "",
+        "Plane record of each face. No vertex of the face lies farther from the record's plane "
+        "than `planar_tolerance_m`.",
+        "index",
+        P,
+    ),
+    DatasetSpec(
+        "edges/half_edges",
+        "<u4",
+        (E, 2),
+        "",
+        "An edge record: its left half-edge, which runs from the smaller vertex v0 to the "
+        "larger v1, and its right one, from v1 to v0; 4294967295 for none. Sorted by (object, "
+        "component, v0, v1, left face); every half-edge occurs exactly once.",
+        "index_or_none",
+        Dim("n_faces", 3),
+    ),
+    DatasetSpec(
+        "edges/flags",
+        "|u1",
+        (E,),
+        "bits",
+        "Bits 0-1: kind, 0 pair (an edge of exactly two faces), 1 border (one face, or half of "
+        "a cut edge), 2 split (from an edge of three or more faces). Bit 2: planar, both faces "
+        "share a plane record.",
+    ),
+    DatasetSpec(
+        "repair/count_object",
+        "<u4",
+        (Dim("n_counts"),),
+        "",
+        "Object of each defect count; a pair (object, code) that is not listed has none. "
+        "Sorted by (object, code).",
+        "index",
+        O,
+    ),
+    DatasetSpec(
+        "repair/count_code",
+        "<u2",
+        (Dim("n_counts"),),
+        "",
+        "Defect code of each count.",
+    ),
+    DatasetSpec(
+        "repair/count",
+        "<u4",
+        (Dim("n_counts"),),
+        "",
+        "How often the defect occurs in the object: at least 1.",
+    ),
+    DatasetSpec(
+        "repair/source_triangles",
+        "<u4",
+        (O,),
+        "",
+        "Triangles of each object before anything was dropped.",
+    ),
+    DatasetSpec(
+        "repair/finding_code",
+        "<u2",
+        (Dim("n_findings"),),
+        "",
+        "Defect code of each finding on a single source face.",
+    ),
+    DatasetSpec(
+        "repair/finding_object",
+        "<u4",
+        (Dim("n_findings"),),
+        "",
+        "Object of each finding.",
+        "index",
+        O,
+    ),
+    DatasetSpec(
+        "repair/finding_source_face",
+        "<u4",
+        (Dim("n_findings"),),
+        "",
+        "0-based ordinal of the source face. Findings are sorted by (object, code, face).",
+    ),
+    DatasetSpec(
+        "repair/flipped_faces",
+        "<u4",
+        (Dim("n_flipped"),),
+        "",
+        "Faces wound against their source, ascending.",
+        "index",
+        F,
+    ),
+)
+
+ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
+    AttributeSpec("magic", "utf8", (), "", f'"{MAGIC}".'),
+    AttributeSpec("schema_version", "<u4", (), "", f"{SCHEMA_VERSION}. Refuse any other."),
+    AttributeSpec(
+        "producer_version", "utf8", (), "", "The svprep that wrote the file.", in_content=False
+    ),
+    AttributeSpec(
+        "source_paths",
+        "json",
+        (),
+        "",
+        "A list: the source files as the user named them.",
+        in_content=False,
+    ),
+    AttributeSpec(
+        "sources", "json", (), "", 'A list of {"format", "n_bytes", "sha256"}: the source files.'
+    ),
+    AttributeSpec("config", "json", (), "", "An object: what the build was asked for."),
+    AttributeSpec("notes", "json", (), "", "A list of lines on what was left out or converted."),
+    AttributeSpec("grid_step_m", "<f8", (), "m", "The grid's step, a power of two."),
+    AttributeSpec(
+        "grid_origin_m", "<f8", (3,), "m", "The grid's origin in source coordinates."
+    ),
+    AttributeSpec(
+        "planar_tolerance_m", "<f8", (), "m", "How far a vertex may lie from its face's record."
+    ),
+    AttributeSpec("crs", "utf8", (), "", "Coordinate reference system; empty when unknown."),
+    AttributeSpec(
+        "content_digest",
+        "utf8",
+        (),
+        "",
+        "SHA-256 over everything but the producer version and the source paths: what two builds "
+        "compare.",
+        in_content=False,
+    ),
+    AttributeSpec(
+        "root_digest",
+        "utf8",
+        (),
+        "",
+        "SHA-256 over the content digest, the producer version and the source paths.",
+        in_content=False,
+    ),
+)
+
+SPEC_OF_PATH: Final = {spec.path: spec for spec in DATASETS}
+ATTRIBUTE_OF_NAME: Final = {spec.name: spec for spec in ATTRIBUTES}
+
+
+def item_digest(name: str, dtype: str, value: NDArray[np.generic] | bytes) -> str:
+    """Return the SHA-256 of one dataset or attribute, in hex.
+
+    Hashed are ``name``, ``dtype`` and the shape's lengths joined by commas, a
+    line each, then the raw little-endian bytes. Releases the GIL.
+    """
+    shape = (len(value),) if isinstance(value, bytes) else value.shape
+    digest = hashlib.sha256(f"{name}\n{dtype}\n{','.join(map(str, shape))}\n".encode())
+    if isinstance(value, bytes):
+        digest.update(value)
+    elif value.size:
+        digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def attribute_digest(spec: AttributeSpec, value: bytes | NDArray[np.generic]) -> str:
+    """Return the digest of one root attribute; texts are given as their UTF-8 bytes."""
+    return item_digest(spec.name, "utf8" if spec.is_text else spec.dtype, value)
+
+
+def _lines_digest(lines: Sequence[tuple[str, str]]) -> str:
+    return hashlib.sha256("".join(f"{name} {text}\n" for name, text in lines).encode()).hexdigest()
+
+
+def content_digest(
+    attributes: Mapping[str, bytes | NDArray[np.generic]], table: Sequence[tuple[str, str]]
+) -> str:
+    """Return the digest of all that two equal builds share.
+
+    SHA-256 over a line ``NAME DIGEST`` per covered attribute, in schema order,
+    then per dataset, in the order of the digest table.
+    """
+    lines = [(s.name, attribute_digest(s, attributes[s.name])) for s in ATTRIBUTES if s.in_content]
+    return _lines_digest([*lines, *table])
+
+
+def root_digest(content: str, attributes: Mapping[str, bytes | NDArray[np.generic]]) -> str:
+    """Return the digest over the content digest, the producer version and the source paths."""
+    names = ("producer_version", "source_paths")
+    lines = [(n, attribute_digest(ATTRIBUTE_OF_NAME[n], attributes[n])) for n in names]
+    return _lines_digest([("content_digest", content), *lines])

@@ -1,0 +1,276 @@
+"""Half-edges: grouped by undirected edge, paired, and written as edge records.
+
+Half-edge ``h = 3 f + c`` runs from corner c of face f to corner (c + 1) % 3.
+"lo" and "hi" are the lower and the higher vertex index of its edge; a face is
+*forward* at the edge if it traverses lo -> hi, counting its flip if it has one.
+
+Plain twins: `svprep.reference.group_edges`, `svprep.reference.pair_edges`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_TIE_RAD = 1e-12  # angles closer than this are one direction; see pair_half_edges
+
+
+@njit(cache=True, nogil=True)
+def group_half_edges(faces, face_start, vertex_begin, vertex_end, begin, end, order, is_first):
+    """Sort half-edges by (object, lo, hi, h) and mark where each edge begins.
+
+    ``faces (n_faces, 3) uint32``; object i owns faces
+    ``[face_start[i], face_start[i + 1])`` and vertices
+    ``[vertex_begin[i], vertex_end[i])``; objects ``[begin, end)`` are done.
+    ``order (3 n_faces,) int32``, ``is_first (3 n_faces,) bool``.
+
+    Two stable counting sorts, by hi and then by lo: O(faces + vertices).
+    """
+    most_half_edges = 0
+    most_vertices = 0
+    for i in range(begin, end):
+        most_half_edges = max(most_half_edges, 3 * (face_start[i + 1] - face_start[i]))
+        most_vertices = max(most_vertices, vertex_end[i] - vertex_begin[i])
+    by_hi = np.empty(most_half_edges, np.int32)
+    lo_of = np.empty(most_half_edges, np.int32)
+    hi_of = np.empty(most_half_edges, np.int32)
+    hi_count = np.empty(most_vertices + 1, np.int32)
+    lo_count = np.empty(most_vertices + 1, np.int32)
+    for i in range(begin, end):
+        first_half_edge = 3 * face_start[i]
+        n = 3 * face_start[i + 1] - first_half_edge
+        v0 = vertex_begin[i]
+        n_vertices = vertex_end[i] - v0
+        for v in range(n_vertices + 1):
+            hi_count[v] = 0
+            lo_count[v] = 0
+        k = 0
+        for f in range(face_start[i], face_start[i + 1]):
+            for c in range(3):
+                a = np.int32(faces[f, c] - v0)
+                b = np.int32(faces[f, c + 1 if c < 2 else 0] - v0)
+                lo = min(a, b)
+                hi = max(a, b)
+                lo_of[k] = lo
+                hi_of[k] = hi
+                lo_count[lo + 1] += 1
+                hi_count[hi + 1] += 1
+                k += 1
+        for v in range(n_vertices):
+            lo_count[v + 1] += lo_count[v]
+            hi_count[v + 1] += hi_count[v]
+        for k in range(n):
+            hi = hi_of[k]
+            by_hi[hi_count[hi]] = k
+            hi_count[hi] += 1
+        for j in range(n):
+            k = by_hi[j]
+            lo = lo_of[k]
+            order[first_half_edge + lo_count[lo]] = first_half_edge + k
+            lo_count[lo] += 1
+        previous_lo = -1
+        previous_hi = -1
+        for j in range(first_half_edge, first_half_edge + n):
+            k = order[j] - first_half_edge
+            is_first[j] = lo_of[k] != previous_lo or hi_of[k] != previous_hi
+            previous_lo = lo_of[k]
+            previous_hi = hi_of[k]
+
+
+@njit(cache=True, nogil=True)
+def _comes_before(i, j, key, opens, third, tie):
+    """Order around an edge: key, closers before openers, third vertex, half-edge."""
+    if key[i] != key[j]:
+        return key[i] < key[j]
+    if opens[i] != opens[j]:
+        return not opens[i]
+    for axis in range(3):
+        if third[i, axis] != third[j, axis]:
+            return third[i, axis] < third[j, axis]
+    return tie[i] < tie[j]
+
+
+@njit(cache=True, nogil=True)
+def _merge_sort(index, scratch, n, key, opens, third, tie):
+    """Sort ``index[:n]`` by `_comes_before`, bottom up, O(n log n)."""
+    width = 1
+    while width < n:
+        for left in range(0, n, 2 * width):
+            middle = min(left + width, n)
+            right = min(left + 2 * width, n)
+            i = left
+            j = middle
+            for out in range(left, right):
+                if i < middle and (
+                    j >= right
+                    or not _comes_before(index[j], index[i], key, opens, third, tie)
+                ):
+                    scratch[out] = index[i]
+                    i += 1
+                else:
+                    scratch[out] = index[j]
+                    j += 1
+        for out in range(n):
+            index[out] = scratch[out]
+        width *= 2
+
+
+@njit(cache=True, nogil=True)
+def pair_half_edges(grid_positions, faces, flips, order, edge_start, begin, end, most, mate):
+    """Pair the half-edges of edges ``[begin, end)``; ``mate[h]`` or -1 if single.
+
+    Two faces: a pair iff they wind consistently. More: sorted by angle around
+    the edge and matched like parentheses, so that each pair bounds a wedge of
+    material and touching solids keep their own pairs (Steiner 2006, A.2).
+
+    Seen along lo -> hi, the outward normal of a forward face points
+    counter-clockwise, so its material lies clockwise of it: going round
+    counter-clockwise, a backward face opens a wedge and a forward face closes
+    it. At equal angles closers go first: there one solid ends and the next
+    begins. Angles come from face normals, which are exact; directions closer
+    than 1e-12 rad count as equal (distinct grid directions that occur in
+    practice lie far apart, and every pairing is right: it only decides which
+    faces form a component).
+
+    ``grid_positions (n_vertices, 3) int32``; ``flips (n_faces,) bool``;
+    edge e owns ``order[edge_start[e]:edge_start[e + 1]]``; no edge has more
+    than `most` half-edges; ``mate (3 n_faces,) int32``.
+    """
+    key = np.empty(most, np.float64)
+    opens = np.empty(most, np.bool_)
+    third = np.empty((most, 3), np.int32)
+    tie = np.empty(most, np.int32)
+    index = np.empty(most, np.int32)
+    scratch = np.empty(most, np.int32)
+    normal = np.empty((most, 3), np.float64)
+    u = np.empty(3, np.float64)
+    w = np.empty(3, np.float64)
+    for e in range(begin, end):
+        start = edge_start[e]
+        k = edge_start[e + 1] - start
+        for i in range(k):
+            mate[order[start + i]] = -1
+        if k == 1:
+            continue
+        for i in range(k):
+            h = order[start + i]
+            f = h // 3
+            c = h - 3 * f
+            opens[i] = (faces[f, c] < faces[f, c + 1 if c < 2 else 0]) == flips[f]
+            tie[i] = h
+        if k == 2:
+            if opens[0] != opens[1]:
+                mate[tie[0]] = tie[1]
+                mate[tie[1]] = tie[0]
+            continue
+        f = tie[0] // 3
+        c = tie[0] - 3 * f
+        a = faces[f, c]
+        b = faces[f, c + 1 if c < 2 else 0]
+        lo = min(a, b)
+        hi = max(a, b)
+        length = 0.0
+        for axis in range(3):
+            u[axis] = np.float64(grid_positions[hi, axis]) - np.float64(grid_positions[lo, axis])
+            length += u[axis] * u[axis]
+        length = math.sqrt(length)
+        for i in range(k):
+            h = tie[i]
+            apex = faces[h // 3, (h % 3 + 2) % 3]
+            for axis in range(3):
+                third[i, axis] = grid_positions[apex, axis]
+                w[axis] = np.float64(third[i, axis]) - np.float64(grid_positions[lo, axis])
+            normal[i, 0] = u[1] * w[2] - u[2] * w[1]
+            normal[i, 1] = u[2] * w[0] - u[0] * w[2]
+            normal[i, 2] = u[0] * w[1] - u[1] * w[0]
+            p = normal[0]
+            q = normal[i]
+            cosine = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+            sine = (
+                u[0] * (p[1] * q[2] - p[2] * q[1])
+                + u[1] * (p[2] * q[0] - p[0] * q[2])
+                + u[2] * (p[0] * q[1] - p[1] * q[0])
+            ) / length
+            angle = math.atan2(sine, cosine)
+            if angle < -_TIE_RAD:
+                angle += 2.0 * math.pi
+            key[i] = 0.0 if angle < _TIE_RAD or angle > 2.0 * math.pi - _TIE_RAD else angle
+            index[i] = i
+        _merge_sort(index, scratch, k, key, opens, third, tie)
+        direction = 0.0
+        previous = key[index[0]]
+        for j in range(k):
+            angle = key[index[j]]
+            if angle - previous > _TIE_RAD:
+                direction += 1.0
+            previous = angle
+            key[index[j]] = direction
+        _merge_sort(index, scratch, k, key, opens, third, tie)
+        depth = 0
+        for j in range(2 * k):
+            i = index[j if j < k else j - k]
+            if mate[tie[i]] >= 0:
+                continue
+            if opens[i]:
+                if j < k:
+                    scratch[depth] = i
+                    depth += 1
+            elif depth > 0:
+                depth -= 1
+                opener = scratch[depth]
+                mate[tie[i]] = tie[opener]
+                mate[tie[opener]] = tie[i]
+
+
+@njit(cache=True, nogil=True)
+def count_edge_rows(faces, order, edge_start, mate, row_start):
+    """Write to ``row_start`` (n_edges + 1) where each edge's records begin."""
+    n_rows = 0
+    for e in range(len(edge_start) - 1):
+        row_start[e] = n_rows
+        for j in range(edge_start[e], edge_start[e + 1]):
+            h = order[j]
+            f = h // 3
+            c = h - 3 * f
+            if faces[f, c] < faces[f, c + 1 if c < 2 else 0] or mate[h] < 0:
+                n_rows += 1
+    row_start[len(edge_start) - 1] = n_rows
+
+
+@njit(cache=True, nogil=True)
+def write_edge_rows(faces, order, edge_start, mate, row_start, plane_of_face, rows, flags):
+    """Write the records of every edge: those with a left face first, by face.
+
+    Half-edges come in the order of faces, so records do too and nothing needs
+    sorting. ``rows (n_rows, 4) uint32``, ``flags (n_rows,) uint8``: kind in
+    bits 0-1 (pair 0, border 1, split 2), planar in bit 2.
+    """
+    for e in range(len(edge_start) - 1):
+        start = edge_start[e]
+        end = edge_start[e + 1]
+        row = row_start[e]
+        for forward in (True, False):
+            for j in range(start, end):
+                h = order[j]
+                f = h // 3
+                c = h - 3 * f
+                a = faces[f, c]
+                b = faces[f, c + 1 if c < 2 else 0]
+                other = mate[h]
+                if (a < b) != forward or (not forward and other >= 0):
+                    continue
+                rows[row, 0] = min(a, b)
+                rows[row, 1] = max(a, b)
+                rows[row, 2] = f if forward else 0xFFFFFFFF
+                rows[row, 3] = 0xFFFFFFFF if forward else f
+                kind = 2 if end - start > 2 else 1
+                if forward and other >= 0:
+                    rows[row, 3] = other // 3
+                    if end - start == 2:
+                        kind = 0
+                    if plane_of_face[f] == plane_of_face[other // 3]:
+                        kind |= 4
+                flags[row] = kind
+                row += 1

@@ -1,0 +1,94 @@
+"""Equal rows of integers by hashing, group by group.
+
+Open addressing with linear probing; a group's table holds at least twice its
+rows. Welding asks it for equal grid positions, repair for equal triangles.
+Plain twin: `svprep.reference.first_equal_row`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def first_equal_row(rows, group_start, group_begin, group_end, first):
+    """Write to ``first[i]`` the lowest row of i's group that equals row i.
+
+    ``rows (n, 3) int32``; group g owns ``[group_start[g], group_start[g + 1])``;
+    groups ``[group_begin, group_end)`` are done, so that ranges of groups can
+    run on several threads. ``first (n,) int32``. O(n) expected.
+    """
+    largest = 0
+    for g in range(group_begin, group_end):
+        largest = max(largest, group_start[g + 1] - group_start[g])
+    capacity = 2
+    while capacity < 2 * largest:
+        capacity *= 2
+    table = np.empty(capacity, np.int32)
+    for g in range(group_begin, group_end):
+        begin = group_start[g]
+        end = group_start[g + 1]
+        size = 2
+        while size < 2 * (end - begin):
+            size *= 2
+        mask = np.uint64(size - 1)
+        for slot in range(size):
+            table[slot] = -1
+        for i in range(begin, end):
+            x = rows[i, 0]
+            y = rows[i, 1]
+            z = rows[i, 2]
+            h = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
+            h = (h ^ (h >> np.uint64(32)) ^ np.uint64(y)) * np.uint64(0xC2B2AE3D27D4EB4F)
+            h = (h ^ (h >> np.uint64(32)) ^ np.uint64(z)) * np.uint64(0x165667B19E3779F9)
+            slot = np.int64((h >> np.uint64(31)) & mask)
+            while True:
+                j = table[slot]
+                if j < 0:
+                    table[slot] = i
+                    first[i] = i
+                    break
+                if rows[j, 0] == x and rows[j, 1] == y and rows[j, 2] == z:
+                    first[i] = j
+                    break
+                slot = (slot + 1) & np.int64(mask)
+
+
+@njit(cache=True, nogil=True)
+def count_distinct_per_group(values, group_start, n_values, counts):
+    """Write to ``counts[g]`` how many different values group g holds.
+
+    ``values (n,) uint32``, each below `n_values`. O(n + n_values).
+    """
+    stamp = np.full(n_values, -1, np.int32)
+    for g in range(len(group_start) - 1):
+        n = 0
+        for i in range(group_start[g], group_start[g + 1]):
+            v = values[i]
+            if stamp[v] != g:
+                stamp[v] = g
+                n += 1
+        counts[g] = n
+
+
+@njit(cache=True, nogil=True)
+def counting_order(keys, n_keys, order, key_start):
+    """Write the stable order that sorts `keys`, and where each key's run begins.
+
+    ``keys (n,) int32`` in ``[0, n_keys)``; ``order (n,) int32``;
+    ``key_start (n_keys + 1,) int64``. O(n + n_keys), stable.
+    """
+    for k in range(n_keys + 1):
+        key_start[k] = 0
+    for i in range(len(keys)):
+        key_start[keys[i] + 1] += 1
+    for k in range(n_keys):
+        key_start[k + 1] += key_start[k]
+    for i in range(len(keys)):
+        k = keys[i]
+        order[key_start[k]] = i
+        key_start[k] += 1
+    for k in range(n_keys, 0, -1):
+        key_start[k] = key_start[k - 1]
+    key_start[0] = 0

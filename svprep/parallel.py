@@ -1,0 +1,46 @@
+"""Ranges of objects on several threads, with the same result for any number.
+
+Kernels release the GIL and write disjoint parts of arrays they are given, so
+threads need no locks and the outcome cannot depend on their number.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from svprep.model import I64
+
+_SMALLEST_SHARE = 20_000
+"""Work items below which a second thread costs more than it brings."""
+
+
+def thread_count() -> int:
+    """Return how many threads to use: ``SVPREP_THREADS``, or the cores we may run on."""
+    asked = os.environ.get("SVPREP_THREADS", "")
+    if asked.isdigit() and int(asked) > 0:
+        return int(asked)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def for_ranges(start: I64, work: Callable[[int, int], object]) -> None:
+    """Call ``work(begin, end)`` on ranges of groups that hold about equal work.
+
+    ``start (n_groups + 1,)``: where each group's items begin. Four ranges a
+    thread even out groups of different cost.
+    """
+    n_groups = len(start) - 1
+    n_items = int(start[-1] - start[0])
+    n_threads = thread_count()
+    if n_threads == 1 or n_items < 2 * _SMALLEST_SHARE or n_groups < 2:
+        work(0, n_groups)
+        return
+    shares = start[0] + np.arange(1, 4 * n_threads) * (n_items / (4 * n_threads))
+    cuts = np.unique(np.concatenate(([0], np.searchsorted(start, shares), [n_groups])))
+    ranges = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+    with ThreadPoolExecutor(n_threads) as pool:
+        for future in [pool.submit(work, begin, end) for begin, end in ranges]:
+            future.result()

@@ -1,0 +1,119 @@
+"""Plane records, shared by connected faces that are coplanar within a tolerance.
+
+Facing is decided once per record and light, by `facing`, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from svprep.errors import InputError
+from svprep.kernels.surface import face_normals, grow_planes, shape_hashes
+from svprep.model import F32, F64, I32, U32, Grid, Mesh, PlaneTable
+from svprep.repair.grid import grid_coordinates
+from svprep.repair.stage import Repaired
+
+
+def default_planar_tolerance_m(grid: Grid) -> float:
+    """Return the default tolerance [m]: 16 grid steps, at most 1 mm, at least 4 steps.
+
+    Rounding to the grid alone bends a flat quad by up to 3.5 steps.
+    """
+    return max(4.0 * grid.step_m, min(1e-3, 16.0 * grid.step_m))
+
+
+def build_planes(repaired: Repaired, tolerance_m: float | None = None) -> PlaneTable:
+    """Return a plane record for every face, shared where connected faces are coplanar.
+
+    The record is the plane of one face (the seed), taken in order of falling
+    area; it spreads over paired edges to faces that turn the same way and whose
+    corners lie within the tolerance of the seed's own plane, so it cannot
+    drift. Ties in area are broken by shape and place, so that records do not
+    depend on the order of faces.
+
+    Parameters
+    ----------
+    repaired : Repaired
+    tolerance_m : float, optional
+        [m]; `default_planar_tolerance_m` of the grid if None.
+
+    Notes
+    -----
+    O(n log n). Records are numbered by their lowest face.
+    Plain twin: `reference.check_planes`.
+    """
+    mesh = repaired.mesh
+    tolerance_m = default_planar_tolerance_m(mesh.grid) if tolerance_m is None else tolerance_m
+    points = grid_coordinates(mesh.positions, mesh.grid)
+    normals = np.empty((len(mesh.faces), 3))
+    face_normals(points, mesh.faces, normals)
+    seed_of_face = np.full(len(mesh.faces), -1, np.int32)
+    grow_planes(
+        points,
+        mesh.faces,
+        normals,
+        repaired.mate,
+        _seed_order(mesh, points, normals),
+        tolerance_m / mesh.grid.step_m,
+        seed_of_face,
+    )
+    lowest = np.full(len(mesh.faces), len(mesh.faces), np.int32)
+    numbers = np.arange(len(mesh.faces), dtype=np.int32)
+    lowest[seed_of_face[::-1]] = numbers[::-1]  # the last write, the lowest face, stays
+    is_lowest = lowest[seed_of_face] == numbers
+    record_of_seed = np.empty(len(mesh.faces), np.uint32)
+    seeds = seed_of_face[is_lowest]
+    record_of_seed[seeds] = np.arange(len(seeds), dtype=np.uint32)
+    return PlaneTable(
+        planes=_records(mesh, normals[seeds], seeds),
+        plane_of_face=record_of_seed[seed_of_face],
+        tolerance_m=tolerance_m,
+    )
+
+
+def _seed_order(mesh: Mesh, points: I32, normals: F64) -> I32:
+    """Order faces by falling area, ties by shape and place."""
+    hashes = np.empty(len(mesh.faces), np.uint32)
+    shape_hashes(points, mesh.faces, mesh.object_face_start, hashes)
+    # x and y first: a turn by 90 degrees about z swaps them and changes nothing.
+    area2 = (normals[:, 0] ** 2 + normals[:, 1] ** 2 + normals[:, 2] ** 2).astype(np.float32)
+    key = (~area2.view(np.uint32)).astype(np.uint64) << np.uint64(32)
+    key |= hashes
+    return np.argsort(key, kind="stable").astype(np.int32)
+
+
+def _records(mesh: Mesh, normals: F64, seeds: I32) -> F64:
+    """Return ``(n, 4)``: ``(n, -n . a)`` in metres, of the seed faces."""
+    planes = np.empty((len(seeds), 4))
+    planes[:, :3] = normals * (mesh.grid.step_m * mesh.grid.step_m)
+    a = mesh.positions[mesh.faces[seeds, 0]].astype(np.float64)
+    planes[:, 3] = -(planes[:, 0] * a[:, 0] + planes[:, 1] * a[:, 1] + planes[:, 2] * a[:, 2])
+    return planes
+
+
+def facing(planes: F64, light: F32) -> np.ndarray:
+    """Return ``(n_planes,) int8``: +1 facing the light, -1 turned away, 0 edge-on.
+
+    Parameters
+    ----------
+    planes : ndarray
+        ``(n_planes, 4) float64``: records of a `PlaneTable`.
+    light : ndarray
+        ``(4,) float32`` in the cache frame: ``(x, y, z, 1)`` a point light [m],
+        ``(x, y, z, 0)`` a direction towards the light.
+
+    Notes
+    -----
+    ``s = sign(plane . L)`` in float64. This is the only place that decides it.
+    """
+    if light.shape != (4,) or not np.isfinite(light).all() or light[3] not in (0.0, 1.0):
+        raise InputError(
+            f"a light is four finite numbers (x, y, z, 1) or (x, y, z, 0), not {light.tolist()}"
+        )
+    x, y, z, w = light.astype(np.float64)
+    value = planes[:, 0] * x + planes[:, 1] * y + planes[:, 2] * z
+    if w != 0.0:
+        value += planes[:, 3]
+    return np.sign(value).astype(np.int8)
+
+

@@ -1,0 +1,101 @@
+"""The quantisation grid: a power-of-two step that fits the model's extent.
+
+Positions become integers of at most 24 bits and a sign times the step: exact in
+float32, and a face normal is exact in float64. A translation by multiples of
+the step changes nothing at all.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from svprep.errors import InputError
+from svprep.model import F64, I32, U32, Grid, SourceMesh
+
+MAX_COORDINATE = 1 << 24
+"""A grid coordinate is an integer in [-2**24, 2**24]."""
+COARSEST_STEP_M = 2.0**-4
+"""[m]: a model that needs a coarser grid is refused (extent above 2,097 km)."""
+FINEST_EXPONENT = -60
+
+
+def choose_grid(source: SourceMesh) -> Grid:
+    """Return the finest grid that holds every vertex that a face uses.
+
+    The step is also no finer than float64 resolves the source coordinates, so
+    the origin is exact. Only vertices used by faces count.
+
+    Raises
+    ------
+    InputError
+        When the extent needs a step above `COARSEST_STEP_M`: names the vertex
+        that lies farthest out, and its object.
+    """
+    used = np.zeros(len(source.positions), bool)
+    used[source.faces.ravel()] = True
+    if not used.any():
+        return Grid(step_m=2.0**-24, origin_m=np.zeros(3))
+    points = source.positions if used.all() else source.positions[used]
+    low, high = points.min(axis=0), points.max(axis=0)
+    with np.errstate(over="ignore"):
+        extent = float((high - low).max())
+    magnitude = float(max(np.abs(low).max(), np.abs(high).max()))
+    exponent = max(
+        _ceil_log2(extent) - 25, _ceil_log2(magnitude) - 52, FINEST_EXPONENT
+    )
+    if not math.isfinite(extent) or 2.0**exponent > COARSEST_STEP_M:
+        raise _too_large(source, points, extent)
+    while True:
+        step = 2.0**exponent
+        low_index, high_index = np.floor(low / step + 0.5), np.floor(high / step + 0.5)
+        if (high_index - low_index).max() <= 2 * MAX_COORDINATE:
+            break
+        exponent += 1
+    if step > COARSEST_STEP_M:
+        raise _too_large(source, points, extent)
+    centre = low_index + np.floor((high_index - low_index) / 2)
+    return Grid(step_m=step, origin_m=centre * step)
+
+
+def to_grid(positions: F64, grid: Grid) -> I32:
+    """Return ``(n, 3) int32`` grid coordinates of source positions.
+
+    Halves round up, so that rounding commutes with any shift by grid steps.
+    Vertices no face uses may lie outside the grid; they are clipped.
+    """
+    index = positions / grid.step_m
+    index += 0.5
+    np.floor(index, out=index)
+    index -= grid.origin_m / grid.step_m
+    np.clip(index, -MAX_COORDINATE, MAX_COORDINATE, out=index)
+    return index.astype(np.int32)
+
+
+def grid_coordinates(positions: np.ndarray, grid: Grid) -> I32:
+    """Return the integers behind cache positions: ``positions / step``, exact."""
+    return (positions * np.float32(1.0 / grid.step_m)).astype(np.int32)
+
+
+def _ceil_log2(x: float) -> int:
+    return math.ceil(math.log2(x)) if x > 0.0 and math.isfinite(x) else -1100 if x == 0.0 else 1024
+
+
+def _too_large(source: SourceMesh, points: F64, extent: float) -> InputError:
+    """Name the vertex farthest from the median, and an object that uses it."""
+    centre = np.median(points, axis=0)
+    with np.errstate(over="ignore"):
+        distance = np.abs(source.positions - centre).max(axis=1)
+    used: U32 = np.unique(source.faces)
+    vertex = int(used[np.argmax(distance[used])])
+    face = int(np.flatnonzero((source.faces == vertex).any(axis=1))[0])
+    owner = int(np.searchsorted(source.object_face_start, face, side="right")) - 1
+    x, y, z = source.positions[vertex]
+    path = source.sources[int(source.object_source[owner])].path
+    return InputError(
+        f'{path}, object "{source.object_names[owner]}": a face uses a vertex at '
+        f"({x:g}, {y:g}, {z:g}), so the model is {extent:g} m wide; at most "
+        f"{COARSEST_STEP_M * 2 * MAX_COORDINATE / 1000:,.0f} km fit a grid of "
+        f"{COARSEST_STEP_M} m. Mend or remove that vertex, or build the parts apart."
+    )

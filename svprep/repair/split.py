@@ -1,0 +1,96 @@
+"""Half-edges grouped by edge and paired; components connected through pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svprep.kernels.half_edges import group_half_edges, pair_half_edges
+from svprep.kernels.rows import counting_order
+from svprep.kernels.union_find import union_with_parity
+from svprep.model import BOOL, I32, I64, U32
+from svprep.parallel import for_ranges
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeGroups:
+    """Half-edges sorted by undirected edge. Half-edge h is corner h % 3 of face h // 3."""
+
+    order: I32
+    """``(3 n_faces,)``: half-edges by (object, lo vertex, hi vertex, h)."""
+    start: I64
+    """``(n_edges + 1,)``: edge e owns ``order[start[e]:start[e + 1]]``."""
+
+    @property
+    def n_faces_of_edge(self) -> I64:
+        """``(n_edges,)``: how many faces meet at each edge."""
+        return np.diff(self.start)
+
+
+def group_edges(
+    faces: U32, face_start: I64, vertex_begin: I64, vertex_end: I64
+) -> EdgeGroups:
+    """Return the half-edges of `faces` grouped by undirected edge.
+
+    ``face_start (n_objects + 1,)``; object i uses vertices
+    ``[vertex_begin[i], vertex_end[i])``. O(n). Plain twin: `reference.group_edges`.
+    """
+    order = np.empty(3 * len(faces), np.int32)
+    is_first = np.empty(3 * len(faces), bool)
+
+    def work(begin: int, end: int) -> None:
+        group_half_edges(
+            faces, face_start, vertex_begin, vertex_end, begin, end, order, is_first
+        )
+
+    for_ranges(face_start, work)
+    start = np.concatenate((np.flatnonzero(is_first), [len(order)])).astype(np.int64)
+    return EdgeGroups(order=order, start=start)
+
+
+def pair_edges(points: I32, faces: U32, flips: BOOL, groups: EdgeGroups) -> I32:
+    """Return ``(3 n_faces,) int32``: the half-edge each one is paired with, or -1.
+
+    Two faces that wind consistently are a pair; two that do not are cut; more
+    than two are matched by angle (see `kernels.half_edges.pair_half_edges`,
+    after Steiner 2006, A.2). ``flips (n_faces,)`` marks faces to be read turned.
+    """
+    mate = np.empty(3 * len(faces), np.int32)
+    most = int(groups.n_faces_of_edge.max(initial=1))
+
+    def work(begin: int, end: int) -> None:
+        pair_half_edges(
+            points, faces, flips, groups.order, groups.start, begin, end, most, mate
+        )
+
+    for_ranges(groups.start, work)
+    return mate
+
+
+def connect(mate: I32, n_faces: int) -> tuple[I32, I32]:
+    """Return the component of each face, and the lowest face of each component.
+
+    Components are numbered by their lowest face, so they stay grouped by object.
+    """
+    first = np.flatnonzero(mate > np.arange(len(mate), dtype=np.int32)).astype(np.int32)
+    root = np.arange(n_faces, dtype=np.int32)
+    union_with_parity(
+        first // np.int32(3),
+        mate[first] // np.int32(3),
+        np.zeros(len(first), bool),
+        root,
+        np.zeros(n_faces, bool),
+        np.empty(len(first), bool),
+    )
+    is_root = root == np.arange(n_faces, dtype=np.int32)
+    component = (np.cumsum(is_root, dtype=np.int32) - 1)[root].astype(np.int32)
+    return component, np.flatnonzero(is_root).astype(np.int32)
+
+
+def sort_stably(keys: I32, n_keys: int) -> tuple[I32, I64]:
+    """Return the stable order that sorts `keys`, and the start of each key's run."""
+    order = np.empty(len(keys), np.int32)
+    start = np.empty(n_keys + 1, np.int64)
+    counting_order(keys, n_keys, order, start)
+    return order, start

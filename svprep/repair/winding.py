@@ -1,0 +1,270 @@
+"""Wind every face alike: patches by spanning forest, closed components outward.
+
+One pass over a set of objects
+
+    coincident faces that run the same way     -> one stays, the rest are dropped
+    patches over edges of exactly two faces    -> wound alike, the majority wins
+    edges paired, faces connected through pairs -> components
+    closed components of negative volume       -> turned outward
+
+may change what the next pass would find (a turned face can become a duplicate,
+a turned component pairs differently at an edge of several faces), so objects
+that changed are passed again until nothing does. It ends: every pass that goes
+on either drops a face or raises the total signed volume, of which there are
+finitely many values. So repairing a repaired mesh changes nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from svprep.errors import InternalError
+from svprep.kernels.rows import first_equal_row
+from svprep.kernels.surface import component_volumes, face_normals
+from svprep.kernels.union_find import union_with_parity
+from svprep.model import BOOL, F64, I32, I64, U32, Mesh
+from svprep.parallel import for_ranges
+from svprep.repair.split import EdgeGroups, connect, group_edges, pair_edges
+
+_FLAT = 1e-14
+"""A signed volume below this share of its uncancelled sum is zero in float64."""
+_MOST_PASSES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Winding:
+    """Which faces of a mesh stay, and which are turned."""
+
+    is_kept: BOOL
+    """``(n_faces,)``: false for duplicates."""
+    is_flipped: BOOL
+    """``(n_faces,)``"""
+    n_passes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Faces of some of a mesh's objects, with vertices numbered as in the mesh."""
+
+    faces: U32
+    face_start: I64
+    vertex_begin: I64
+    vertex_end: I64
+    points: I32
+
+
+def whole(mesh: Mesh, points: I32) -> Part:
+    """Return all of `mesh` as a `Part`. ``points``: grid coordinates."""
+    return Part(
+        faces=mesh.faces,
+        face_start=mesh.object_face_start,
+        vertex_begin=mesh.object_vertex_start[:-1],
+        vertex_end=mesh.object_vertex_start[1:],
+        points=points,
+    )
+
+
+def wind(mesh: Mesh, points: I32) -> Winding:
+    """Decide which faces stay and which are turned, so that faces wind alike.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    points : ndarray
+        ``(n_vertices, 3) int32``: grid coordinates of its vertices.
+
+    Notes
+    -----
+    O(n log n) at worst, near-linear in faces and in components. Patches without
+    a consistent winding (Moebius strips) are wound along a spanning forest of
+    their longest edges, so that the outcome does not depend on face order.
+    """
+    n_faces = len(mesh.faces)
+    is_kept = np.ones(n_faces, bool)
+    is_flipped = np.zeros(n_faces, bool)
+    twins = _coincident_faces(mesh)
+    owner = np.repeat(
+        np.arange(len(mesh.object_face_start) - 1, dtype=np.int32),
+        np.diff(mesh.object_face_start),
+    )
+    unsettled: np.ndarray | None = None  # objects still to pass; None for all
+    for n_passes in range(1, _MOST_PASSES + 1):
+        is_kept[_same_way_again(twins, is_kept, is_flipped)] = False
+        chosen = is_kept if unsettled is None else is_kept & unsettled[owner]
+        part, face_of = _take(mesh, points, chosen, unsettled)
+        flips = is_flipped[face_of]
+        groups = group_edges(part.faces, part.face_start, part.vertex_begin, part.vertex_end)
+        turned = _wind_patches(part, flips, groups)
+        turned ^= _turn_outward(part, flips ^ turned, groups)
+        is_flipped[face_of] ^= turned
+        changed = np.zeros(len(mesh.object_face_start) - 1, bool)
+        changed[owner[face_of[turned]]] = True
+        has_crowd = np.zeros_like(changed)
+        crowded = groups.start[:-1][groups.n_faces_of_edge > 2]
+        has_crowd[owner[face_of[groups.order[crowded] // 3]]] = True
+        changed &= has_crowd
+        if not changed.any():
+            return Winding(is_kept=is_kept, is_flipped=is_flipped, n_passes=n_passes)
+        unsettled = changed
+    raise InternalError(
+        f"winding did not settle in {_MOST_PASSES} passes; still changing: "
+        f"{int(unsettled.sum()) if unsettled is not None else 0} objects"
+    )
+
+
+def _take(
+    mesh: Mesh, points: I32, chosen: BOOL, objects: BOOL | None
+) -> tuple[Part, I64]:
+    """Return the chosen faces as a `Part`, and each one's number in `mesh`."""
+    face_of = np.flatnonzero(chosen)
+    if len(face_of) == len(mesh.faces):
+        return whole(mesh, points), face_of
+    kept_before = np.concatenate(([0], np.cumsum(chosen)))[mesh.object_face_start]
+    begin, end = mesh.object_vertex_start[:-1], mesh.object_vertex_start[1:]
+    if objects is not None:
+        kept_before = np.concatenate((kept_before[:-1][objects], kept_before[-1:]))
+        begin, end = begin[objects], end[objects]
+    return (
+        Part(
+            faces=mesh.faces[face_of],
+            face_start=kept_before,
+            vertex_begin=begin,
+            vertex_end=end,
+            points=points,
+        ),
+        face_of,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Twins:
+    """Faces that share all three vertices with another, in either direction."""
+
+    face: I64
+    group: I64
+    """Lowest face of the same three vertices."""
+    runs_down: BOOL
+    """Whether the face runs against the ascending order of its vertices."""
+
+
+def _coincident_faces(mesh: Mesh) -> _Twins:
+    """Find faces with the same three vertices, whatever their direction."""
+    ascending = np.sort(mesh.faces, axis=1).view(np.int32)
+    first = np.empty(len(mesh.faces), np.int32)
+
+    def work(begin: int, end: int) -> None:
+        first_equal_row(ascending, mesh.object_face_start, begin, end, first)
+
+    for_ranges(mesh.object_face_start, work)
+    later = np.flatnonzero(first != np.arange(len(first), dtype=np.int32))
+    face = np.union1d(later, first[later])
+    corners = mesh.faces[face]
+    lowest = corners.argmin(axis=1)
+    row = np.arange(len(face))
+    runs_down = corners[row, (lowest + 1) % 3] > corners[row, (lowest + 2) % 3]
+    return _Twins(face=face, group=first[face].astype(np.int64), runs_down=runs_down)
+
+
+def _same_way_again(twins: _Twins, is_kept: BOOL, is_flipped: BOOL) -> I64:
+    """Return kept faces that repeat a lower kept face in the same direction."""
+    kept = is_kept[twins.face]
+    face, group = twins.face[kept], twins.group[kept]
+    direction = twins.runs_down[kept] ^ is_flipped[face]
+    order = np.lexsort((face, direction, group))
+    again = (group[order][1:] == group[order][:-1]) & (
+        direction[order][1:] == direction[order][:-1]
+    )
+    return face[order][1:][again]
+
+
+def count_opposites(mesh: Mesh) -> U32:
+    """Return, per object, how many faces repeat an earlier face the other way round."""
+    twins = _coincident_faces(mesh)
+    later = twins.face[twins.face != twins.group]
+    owner = np.searchsorted(mesh.object_face_start, later, side="right") - 1
+    return np.bincount(owner, minlength=len(mesh.object_face_start) - 1).astype(np.uint32)
+
+
+def _wind_patches(part: Part, flips: BOOL, groups: EdgeGroups) -> BOOL:
+    """Return the faces to turn so that faces over edges of two agree, fewest first."""
+    n_faces = len(part.faces)
+    doubles = groups.start[:-1][groups.n_faces_of_edge == 2]
+    h, g = groups.order[doubles], groups.order[doubles + 1]
+    runs_up = _runs_up(part.faces, flips)
+    differ = runs_up[h] == runs_up[g]
+    a, b = h // np.int32(3), g // np.int32(3)
+    if not differ.any():
+        return np.zeros(n_faces, bool)
+    root, turned, conflict = _union(n_faces, a, b, differ)
+    if conflict.any():
+        # No winding fits all: choose the tree by length, not by face order.
+        one_sided = np.zeros(n_faces, bool)
+        one_sided[root[a[conflict]]] = True
+        among = np.flatnonzero(one_sided[root[a]])
+        among = among[_longest_first(part, h[among])]
+        again_root, again_turned, _ = _union(n_faces, a[among], b[among], differ[among])
+        redo = one_sided[root]
+        root = np.where(redo, again_root, root)
+        turned = np.where(redo, again_turned, turned)
+    size = np.bincount(root, minlength=n_faces)
+    n_turned = np.bincount(root[turned], minlength=n_faces)
+    # A tie keeps the patch's lowest face as it is, which is the root.
+    return turned ^ (2 * n_turned > size)[root]
+
+
+def _union(n_faces: int, a: I32, b: I32, differ: BOOL) -> tuple[I32, BOOL, BOOL]:
+    root = np.arange(n_faces, dtype=np.int32)
+    turned = np.zeros(n_faces, bool)
+    conflict = np.empty(len(a), bool)
+    union_with_parity(a, b, differ, root, turned, conflict)
+    return root, turned, conflict
+
+
+def _runs_up(faces: U32, flips: BOOL) -> BOOL:
+    """Return ``(3 n_faces,)``: whether each half-edge runs lo -> hi, flips counted."""
+    up = np.empty((len(faces), 3), bool)
+    for c in range(3):
+        np.less(faces[:, c], faces[:, (c + 1) % 3], out=up[:, c])
+    up ^= flips[:, None]
+    return up.reshape(-1)
+
+
+def _longest_first(part: Part, half_edges: I32) -> I64:
+    """Order half-edges by length, then by height and place: independent of numbering."""
+    face, corner = half_edges // 3, half_edges % 3
+    p = part.points[part.faces[face, corner]].astype(np.int64)
+    q = part.points[part.faces[face, (corner + 1) % 3]].astype(np.int64)
+    low, high = np.minimum(p, q), np.maximum(p, q)
+    length = ((q - p) ** 2).sum(axis=1)
+    return np.lexsort((*high.T, *low.T, -length))
+
+
+def _turn_outward(part: Part, flips: BOOL, groups: EdgeGroups) -> BOOL:
+    """Return the faces of closed components whose signed volume is negative."""
+    n_faces = len(part.faces)
+    mate = pair_edges(part.points, part.faces, flips, groups)
+    component, lowest = connect(mate, n_faces)
+    volume, is_flat = signed_volumes(part.points, part.faces, flips, component, lowest)
+    is_inward = (volume < 0.0) & ~is_flat & is_closed(mate, component, len(lowest))
+    return is_inward[component]
+
+
+def is_closed(mate: I32, component: I32, n_components: int) -> BOOL:
+    """Return ``(n_components,)``: whether no half-edge of the component is single."""
+    closed = np.ones(n_components, bool)
+    closed[component[np.flatnonzero(mate < 0) // 3]] = False
+    return closed
+
+
+def signed_volumes(
+    points: I32, faces: U32, flips: BOOL, component: I32, lowest: I32
+) -> tuple[F64, BOOL]:
+    """Return each component's signed volume [steps^3], and whether it is zero."""
+    normals = np.empty((len(faces), 3))
+    face_normals(points, faces, normals)
+    volume = np.zeros(len(lowest))
+    scale = np.zeros(len(lowest))
+    component_volumes(points, faces, normals, flips, component, lowest, volume, scale)
+    return volume / 6.0, np.abs(volume) <= _FLAT * scale
