@@ -9,7 +9,7 @@ import numpy as np
 
 from svprep.errors import InputError
 from svprep.kernels.surface import face_normals, grow_planes, shape_hashes
-from svprep.model import F32, F64, I32, U32, Grid, Mesh, PlaneTable
+from svprep.model import F32, F64, I32, Grid, Mesh, PlaneTable
 from svprep.repair.grid import grid_coordinates
 from svprep.repair.stage import Repaired
 
@@ -115,5 +115,3 @@ def facing(planes: F64, light: F32) -> np.ndarray:
     if w != 0.0:
         value += planes[:, 3]
     return np.sign(value).astype(np.int8)
-
-

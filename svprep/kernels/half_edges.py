@@ -104,8 +104,7 @@ def _merge_sort(index, scratch, n, key, opens, third, tie):
             j = middle
             for out in range(left, right):
                 if i < middle and (
-                    j >= right
-                    or not _comes_before(index[j], index[i], key, opens, third, tie)
+                    j >= right or not _comes_before(index[j], index[i], key, opens, third, tie)
                 ):
                     scratch[out] = index[i]
                     i += 1

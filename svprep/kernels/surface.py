@@ -52,9 +52,7 @@ def component_volumes(grid_positions, faces, normals, flips, component, referenc
         n = normals[f]
         term = x * n[0] + y * n[1] + z * n[2]
         volume[i] += -term if flips[f] else term
-        scale[i] += math.sqrt(
-            (x * x + y * y + z * z) * (n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-        )
+        scale[i] += math.sqrt((x * x + y * y + z * z) * (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]))
 
 
 @njit(cache=True, nogil=True)

@@ -42,9 +42,7 @@ def choose_grid(source: SourceMesh) -> Grid:
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     magnitude = float(max(np.abs(low).max(), np.abs(high).max()))
-    exponent = max(
-        _ceil_log2(extent) - 25, _ceil_log2(magnitude) - 52, FINEST_EXPONENT
-    )
+    exponent = max(_ceil_log2(extent) - 25, _ceil_log2(magnitude) - 52, FINEST_EXPONENT)
     if not math.isfinite(extent) or 2.0**exponent > COARSEST_STEP_M:
         raise _too_large(source, points, extent)
     while True:

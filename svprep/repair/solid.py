@@ -15,9 +15,7 @@ from svprep.model import BOOL, I32, I64, U32
 from svprep.parallel import for_ranges
 
 
-def find_self_contact(
-    points: I32, faces: U32, component_face_start: I64, candidates: I64
-) -> BOOL:
+def find_self_contact(points: I32, faces: U32, component_face_start: I64, candidates: I64) -> BOOL:
     """Return ``(len(candidates),)``: whether each component crosses or touches itself.
 
     Faces are grouped by component. Exact (integer predicates, after Devillers

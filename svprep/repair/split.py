@@ -28,9 +28,7 @@ class EdgeGroups:
         return np.diff(self.start)
 
 
-def group_edges(
-    faces: U32, face_start: I64, vertex_begin: I64, vertex_end: I64
-) -> EdgeGroups:
+def group_edges(faces: U32, face_start: I64, vertex_begin: I64, vertex_end: I64) -> EdgeGroups:
     """Return the half-edges of `faces` grouped by undirected edge.
 
     ``face_start (n_objects + 1,)``; object i uses vertices
@@ -40,9 +38,7 @@ def group_edges(
     is_first = np.empty(3 * len(faces), bool)
 
     def work(begin: int, end: int) -> None:
-        group_half_edges(
-            faces, face_start, vertex_begin, vertex_end, begin, end, order, is_first
-        )
+        group_half_edges(faces, face_start, vertex_begin, vertex_end, begin, end, order, is_first)
 
     for_ranges(face_start, work)
     start = np.concatenate((np.flatnonzero(is_first), [len(order)])).astype(np.int64)
@@ -60,9 +56,7 @@ def pair_edges(points: I32, faces: U32, flips: BOOL, groups: EdgeGroups) -> I32:
     most = int(groups.n_faces_of_edge.max(initial=1))
 
     def work(begin: int, end: int) -> None:
-        pair_half_edges(
-            points, faces, flips, groups.order, groups.start, begin, end, most, mate
-        )
+        pair_half_edges(points, faces, flips, groups.order, groups.start, begin, end, most, mate)
 
     for_ranges(groups.start, work)
     return mate

@@ -115,9 +115,7 @@ def _welded(
         kept = np.ascontiguousarray(source.faces[has_area])
         start = np.concatenate(([0], np.cumsum(has_area)))[source.object_face_start]
         n_distinct = np.zeros(len(n_distinct), np.int64)
-        count_distinct_per_group(
-            kept.reshape(-1), 3 * start, len(source.positions), n_distinct
-        )
+        count_distinct_per_group(kept.reshape(-1), 3 * start, len(source.positions), n_distinct)
     return (n_distinct - np.diff(object_vertex_start)).astype(np.uint32)
 
 
@@ -128,9 +126,7 @@ def _list_dropped(source: SourceMesh, is_flat: np.ndarray) -> FaceFindings:
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     with np.errstate(over="ignore", invalid="ignore"):
         twice_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        longest = np.max(
-            [np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], axis=0
-        )
+        longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], axis=0)
     # Zero in the source means: no higher than its own coordinates resolve.
     rounding = 8.0 * np.spacing(np.abs(corners).max(axis=(1, 2)))
     is_degenerate = twice_area <= rounding * longest

@@ -114,9 +114,7 @@ def wind(mesh: Mesh, points: I32) -> Winding:
     )
 
 
-def _take(
-    mesh: Mesh, points: I32, chosen: BOOL, objects: BOOL | None
-) -> tuple[Part, I64]:
+def _take(mesh: Mesh, points: I32, chosen: BOOL, objects: BOOL | None) -> tuple[Part, I64]:
     """Return the chosen faces as a `Part`, and each one's number in `mesh`."""
     face_of = np.flatnonzero(chosen)
     if len(face_of) == len(mesh.faces):

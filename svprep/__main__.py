@@ -1,0 +1,5 @@
+"""``python -m svprep``."""
+
+from svprep.cli import main
+
+main()

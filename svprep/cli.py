@@ -1,0 +1,367 @@
+"""The command line: options in, one line per outcome out, exit status told.
+
+Heavy modules are imported inside the commands that need them, so that
+``svprep --help`` does not even load NumPy. Results go to standard output,
+messages and progress to standard error; ``--json`` prints one object.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import traceback
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from svprep import __version__
+from svprep.errors import SvprepError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from svprep.cache.reader import Cache
+    from svprep.pipeline import BuildResult
+
+_UsageError: type[Exception] = typer.BadParameter.__mro__[2]
+"""Click's base exception, whether Typer brings Click along or depends on it."""
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Prepare city meshes for exact shadow volumes, and check what was prepared.",
+)
+
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on standard output.")
+]
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Handle what stands before a command."""
+    if version:
+        print(f"svprep {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@app.command()
+def build(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="INPUT...", help="Model files: .obj .ply .stl .off .glb .gltf, or .gz of one."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="CACHE", help="Default: STEM.svp.h5 in the current folder."
+        ),
+    ] = None,
+    weld_tolerance: Annotated[
+        float,
+        typer.Option(metavar="M", help="Pull vertices of an object within M metres together."),
+    ] = 0.0,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write what was found and done per object (.json or .csv)."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Read model files, repair them and write the cache."""
+    from svprep import pipeline
+    from svprep.report import check_report_path, write_report
+
+    if report is not None:
+        check_report_path(report)
+    config = pipeline.BuildConfig(weld_tolerance_m=weld_tolerance)
+    with _progress() as tell:
+        result = pipeline.build(
+            inputs,
+            output,
+            config,
+            lambda stage: tell(stage, pipeline.STAGES.index(stage), len(pipeline.STAGES)),
+        )
+    if report is not None:
+        write_report(result.prepared, report)
+    summary = _build_summary(result)
+    if as_json:
+        print(json.dumps(summary))
+        return
+    _print_build(summary)
+    if report is not None:
+        print(f"report   {report}")
+
+
+@app.command()
+def info(
+    cache: Annotated[Path, typer.Argument(metavar="CACHE")], as_json: JsonOption = False
+) -> None:
+    """Say what a cache holds: contents, sizes, defects found and repaired."""
+    from svprep.cache.reader import open_cache
+
+    with open_cache(_cache_not_model(cache)) as opened:
+        summary = _cache_summary(opened)
+    if as_json:
+        print(json.dumps(summary))
+    else:
+        _print_info(summary)
+
+
+@app.command()
+def validate(
+    cache: Annotated[Path | None, typer.Argument(metavar="CACHE")] = None,
+    deep: Annotated[
+        bool,
+        typer.Option(
+            "--deep",
+            help="Recompute multiplicities for 100 lights, ask manifold3d, repair again.",
+        ),
+    ] = False,
+    explain: Annotated[
+        str | None,
+        typer.Option(metavar="CODE", help="Document a defect or problem code, such as D302."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check that a cache is right; exit status 1 if it is not."""
+    from svprep import validate as checks
+
+    if explain is not None:
+        text = checks.explain(explain)
+        print(json.dumps({"code": explain, "text": text}) if as_json else text)
+        return
+    if cache is None:
+        raise typer.BadParameter("name the cache to check, or a code: --explain CODE")
+    with _progress() as tell:
+        outcome = checks.validate(_cache_not_model(cache), deep=deep, on_step=tell)
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    "cache": outcome.path,
+                    "valid": outcome.is_valid,
+                    "deep": outcome.is_deep,
+                    "checks": list(outcome.checks),
+                    "problems": [
+                        {"code": p.code, "table": p.table, "message": p.message}
+                        for p in outcome.problems
+                    ],
+                }
+            )
+        )
+    else:
+        for line in outcome.checks:
+            print(f"checked  {line}")
+        for line in checks.iter_problem_lines(outcome):
+            print(line)
+        print("valid" if outcome.is_valid else f"not valid: {len(outcome.problems)} problems")
+    if not outcome.is_valid:
+        raise typer.Exit(1)
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status; no traceback reaches a user."""
+    sys.exit(run())
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run one command and return its exit status (DESIGN section 6)."""
+    try:
+        result = typer.main.get_command(app).main(
+            args=arguments, prog_name="svprep", standalone_mode=False
+        )
+        sys.stdout.flush()
+        return result if isinstance(result, int) else 0
+    except typer.Exit as stop:
+        return stop.exit_code
+    except (typer.Abort, KeyboardInterrupt):
+        print("svprep: interrupted", file=sys.stderr)
+        return 130
+    except _UsageError as usage:
+        text = usage.format_message()  # type: ignore[attr-defined]
+        print(f"svprep: {text} (svprep --help lists the options)", file=sys.stderr)
+        return 2
+    except SvprepError as error:
+        print(f"svprep: {error}", file=sys.stderr)
+        return error.exit_status
+    except BrokenPipeError:
+        # The reader of our output has gone (svprep info | head): nothing is wrong.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except MemoryError:
+        print(
+            "svprep: out of memory; close other programs or build parts of the model apart",
+            file=sys.stderr,
+        )
+        return 1
+    except Exception as bug:
+        return _report_bug(bug)
+
+
+def _report_bug(bug: Exception) -> int:
+    """Write the traceback to a log file and say in one line where it is."""
+    try:
+        handle, name = tempfile.mkstemp(prefix="svprep-", suffix=".log")
+        with os.fdopen(handle, "w") as log:
+            log.write(f"svprep {__version__}, Python {sys.version}\n{sys.argv}\n")
+            traceback.print_exception(bug, file=log)
+    except OSError:
+        name = "not written"
+    print(
+        f"svprep: this is a bug in svprep ({type(bug).__name__}: {bug}); log: {name}",
+        file=sys.stderr,
+    )
+    return 70
+
+
+def _cache_not_model(path: Path) -> Path:
+    """Return `path`, or name the build command when it is a model file."""
+    from svprep.errors import InputError
+
+    model_suffixes = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+    if path.name.lower().removesuffix(".gz").endswith(model_suffixes):
+        raise InputError(f"{path} is a model, not a cache. Run: svprep build {path}")
+    return path
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a progress line on standard error while it is a terminal, else nothing."""
+    if not sys.stderr.isatty():
+        yield lambda what, done, of: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    with Progress(
+        TextColumn("{task.description:24}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    ) as bar:
+        task = bar.add_task("", total=None)
+
+        def tell(what: str, done: int, of: int) -> None:
+            bar.update(task, description=what, completed=done, total=of)
+
+        yield tell
+
+
+def _build_summary(result: BuildResult) -> dict:
+    from svprep.report import component_counts, edge_counts, total_counts
+
+    prepared = result.prepared
+    n_in = int(prepared.repair.source_triangles.sum())
+    return {
+        "cache": str(result.cache.path),
+        "n_bytes": result.cache.n_bytes,
+        "content_digest": result.cache.content_digest,
+        "objects": len(prepared.object_names),
+        "triangles_in": n_in,
+        "faces": len(prepared.mesh.faces),
+        "vertices": len(prepared.mesh.positions),
+        "planes": len(prepared.planes.planes),
+        "edges": edge_counts(prepared.edges),
+        **component_counts(prepared.components.flags),
+        "grid_step_m": prepared.mesh.grid.step_m,
+        "defects": total_counts(prepared),
+        "notes": list(prepared.notes),
+        "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
+    }
+
+
+def _cache_summary(cache: Cache) -> dict:
+    from svprep.report import component_counts, edge_counts, total_counts
+
+    prepared = cache.prepared()
+    return {
+        "cache": str(cache.path),
+        "n_bytes": cache.path.stat().st_size,
+        "content_digest": cache.content_digest,
+        "producer_version": cache.producer_version,
+        "sources": [
+            {"path": s.path, "format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256}
+            for s in prepared.sources
+        ],
+        "config": prepared.config,
+        "crs": cache.crs,
+        "grid_step_m": prepared.mesh.grid.step_m,
+        "grid_origin_m": prepared.mesh.grid.origin_m.tolist(),
+        "planar_tolerance_m": prepared.planes.tolerance_m,
+        "objects": len(prepared.object_names),
+        "triangles_in": int(prepared.repair.source_triangles.sum()),
+        "faces": len(prepared.mesh.faces),
+        "vertices": len(prepared.mesh.positions),
+        "planes": len(prepared.planes.planes),
+        "edges": edge_counts(prepared.edges),
+        **component_counts(prepared.components.flags),
+        "defects": total_counts(prepared),
+        "notes": list(prepared.notes),
+        "datasets": cache.dataset_sizes(),
+    }
+
+
+def _print_counts(summary: dict) -> None:
+    edges = summary["edges"]
+    n_edges = edges["pair"] + edges["border"] + edges["split"]
+    print(
+        f"mesh     {summary['objects']:,} objects, {summary['faces']:,} faces "
+        f"(of {summary['triangles_in']:,} triangles read), {summary['vertices']:,} vertices, "
+        f"{summary['planes']:,} planes"
+    )
+    print(
+        f"edges    {n_edges:,} records: {edges['pair']:,} pairs, {edges['border']:,} border, "
+        f"{edges['split']:,} split; {edges['planar']:,} planar"
+    )
+    print(
+        f"parts    {summary['components']:,} components, {summary['closed']:,} closed, "
+        f"{summary['solid']:,} solid"
+    )
+    print(f"grid     {summary['grid_step_m']:g} m")
+    for label, count in summary["defects"].items():
+        print(f"found    {count:>10,}  {label}")
+    for note in summary["notes"]:
+        print(f"note     {note}")
+
+
+def _print_build(summary: dict) -> None:
+    _print_counts(summary)
+    seconds = ", ".join(f"{name} {s:.2f}" for name, s in summary["seconds"].items())
+    print(f"seconds  {sum(summary['seconds'].values()):.2f} ({seconds})")
+    print(f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)")
+
+
+def _print_info(summary: dict) -> None:
+    print(f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)")
+    print(f"digest   {summary['content_digest']}")
+    print(f"made by  svprep {summary['producer_version']}, {json.dumps(summary['config'])}")
+    for source in summary["sources"]:
+        print(
+            f"source   {source['path']} ({source['format']}, {source['n_bytes']:,} bytes, "
+            f"SHA-256 {source['sha256'][:16]}...)"
+        )
+    x, y, z = summary["grid_origin_m"]
+    print(f"origin   ({x:.3f}, {y:.3f}, {z:.3f}) m; CRS {summary['crs'] or 'not stated'}")
+    _print_counts(summary)
+    for name, size in summary["datasets"].items():
+        print(f"bytes    {size:>13,}  {name}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,196 @@
+"""What the build found and did, per object: tables for people, planners, programs.
+
+Every defect of `svprep.defects` that occurs is listed with its object, its
+count and the source faces it concerns (0-based ordinals in the source file).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from svprep.defects import DEFECTS, Code
+from svprep.errors import EnvironmentProblem, InputError
+from svprep.model import (
+    NO_INDEX,
+    U8,
+    ComponentFlag,
+    EdgeFlag,
+    EdgeKind,
+    EdgeTable,
+    Prepared,
+)
+
+REPORT_SUFFIXES = (".json", ".csv")
+
+
+def check_report_path(path: Path) -> None:
+    """Raise unless `path` ends in a format that `write_report` knows."""
+    if path.suffix.lower() not in REPORT_SUFFIXES:
+        raise InputError(f"{path}: a report is .json or .csv; name it so")
+
+
+def write_report(prepared: Prepared, path: Path) -> None:
+    """Write the per-object report as JSON or CSV, by the suffix of `path`."""
+    check_report_path(path)
+    text = to_json(prepared) if path.suffix.lower() == ".json" else to_csv(prepared)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise EnvironmentProblem(f"{path}: cannot write the report: {error.strerror}") from error
+
+
+def total_counts(prepared: Prepared) -> dict[str, int]:
+    """Return ``{"D302 OPEN_SHELL": 41, ...}`` of the defects that occur, over all objects."""
+    totals = prepared.repair.defect_counts.sum(axis=0, dtype=np.int64)
+    return {
+        defect.label: int(total)
+        for defect, total in zip(DEFECTS.values(), totals, strict=True)
+        if total
+    }
+
+
+def edge_counts(edges: EdgeTable) -> dict[str, int]:
+    """Return how many records there are of each kind, and how many are planar."""
+    kind = edges.flags & np.uint8(EdgeFlag.KIND_MASK)
+    counts = np.bincount(kind, minlength=len(EdgeKind))
+    named = {k.name.lower(): int(counts[k]) for k in EdgeKind}
+    return {**named, "planar": int(np.count_nonzero(edges.flags & np.uint8(EdgeFlag.PLANAR)))}
+
+
+def component_counts(flags: U8) -> dict[str, int]:
+    """Return how many components there are, closed and solid."""
+    return {
+        "components": len(flags),
+        "closed": int(np.count_nonzero(flags & np.uint8(ComponentFlag.CLOSED))),
+        "solid": int(np.count_nonzero(flags & np.uint8(ComponentFlag.SOLID))),
+    }
+
+
+def to_json(prepared: Prepared) -> str:
+    """Return the report as one JSON object: totals, and an entry per object."""
+    return json.dumps(
+        {
+            "sources": [
+                {"path": s.path, "format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256}
+                for s in prepared.sources
+            ],
+            "config": prepared.config,
+            "notes": list(prepared.notes),
+            "defects": total_counts(prepared),
+            "objects": list(_object_entries(prepared)),
+        },
+        indent=1,
+        ensure_ascii=False,
+    )
+
+
+def to_csv(prepared: Prepared) -> str:
+    """Return the report as CSV: a row per object and defect, one row per clean object."""
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(
+        ("object", "source", "triangles_in", "faces", "components", "closed", "solid")
+        + ("code", "defect", "count", "action", "source_faces")
+    )
+    for entry in _object_entries(prepared):
+        head = [entry[k] for k in ("object", "source", "triangles_in", "faces")]
+        head += [entry[k] for k in ("components", "closed", "solid")]
+        for found in entry["findings"] or [{}]:
+            code = found.get("code", "")
+            number = int(code[1:]) if code else 0
+            action = DEFECTS[Code(number)].action if code else ""
+            faces = " ".join(map(str, found.get("source_faces", [])))
+            rows.writerow(
+                [*head, code, found.get("defect", ""), found.get("count", ""), action, faces]
+            )
+    return out.getvalue()
+
+
+def _object_entries(prepared: Prepared) -> Iterator[dict]:
+    """Yield the report's entry of each object."""
+    mesh, components, repair = prepared.mesh, prepared.components, prepared.repair
+    owner, code, face = source_faces_of_defects(prepared)
+    begin = np.searchsorted(owner, np.arange(len(prepared.object_names) + 1))
+    codes = list(DEFECTS)
+    for i, name in enumerate(prepared.object_names):
+        flags = components.flags[components.object_start[i] : components.object_start[i + 1]]
+        here = slice(begin[i], begin[i + 1])
+        findings = []
+        for j in np.flatnonzero(repair.defect_counts[i]):
+            defect = codes[j]
+            findings.append(
+                {
+                    "code": f"D{int(defect)}",
+                    "defect": defect.name,
+                    "count": int(repair.defect_counts[i, j]),
+                    "source_faces": face[here][code[here] == defect].tolist(),
+                }
+            )
+        yield {
+            "object": name,
+            "source": prepared.sources[int(prepared.object_source[i])].path,
+            "triangles_in": int(repair.source_triangles[i]),
+            "faces": int(mesh.object_face_start[i + 1] - mesh.object_face_start[i]),
+            **component_counts(flags),
+            "findings": findings,
+        }
+
+
+def source_faces_of_defects(prepared: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return ``(object, code, source face)`` of every defect that has source faces.
+
+    Sorted, each once: dropped and flipped faces, faces at border, cut and
+    non-manifold edges, and faces of flat, inverted or self-touching components.
+    """
+    mesh, edges, components = prepared.mesh, prepared.edges, prepared.components
+    found = prepared.repair.face_findings
+    owner_of_face = np.repeat(
+        np.arange(len(prepared.object_names), dtype=np.uint32), np.diff(mesh.object_face_start)
+    )
+    faces_of = {Code.FLIPPED_FACE: prepared.repair.flipped_faces}
+    kind = edges.flags & np.uint8(EdgeFlag.KIND_MASK)
+    split = edges.rows[kind == EdgeKind.SPLIT, 2:].reshape(-1)
+    faces_of[Code.NONMANIFOLD_EDGE] = split[split != NO_INDEX]
+    border = edges.rows[kind == EdgeKind.BORDER]
+    is_cut = cut_border_rows(border)
+    single = np.minimum(border[:, 2], border[:, 3])
+    faces_of[Code.OPEN_SHELL] = single[~is_cut]
+    faces_of[Code.CUT_EDGE] = single[is_cut]
+    bit = np.repeat(components.flags, np.diff(components.face_start))
+    closed = (bit & np.uint8(ComponentFlag.CLOSED)) != 0
+    solid = (bit & np.uint8(ComponentFlag.SOLID)) != 0
+    inverted = (bit & np.uint8(ComponentFlag.INVERTED)) != 0
+    faces_of[Code.INVERTED_COMPONENT] = np.flatnonzero(inverted)
+    unsafe = np.flatnonzero(closed & ~solid)
+    # An object may hold both kinds of closed component that are not solid.
+    columns = list(DEFECTS)
+    for defect in (Code.SELF_INTERSECTION, Code.FLAT_COMPONENT):
+        has = prepared.repair.defect_counts[:, columns.index(defect)] > 0
+        faces_of[defect] = unsafe[has[owner_of_face[unsafe]]]
+    triples = [(found.object_index, found.code, found.source_face)]
+    for defect, faces in faces_of.items():
+        triples.append((owner_of_face[faces], np.full(len(faces), defect), mesh.source_face[faces]))
+    owner, code, face = (np.concatenate(column).astype(np.int64) for column in zip(*triples, strict=True))
+    order = np.lexsort((face, code, owner))
+    owner, code, face = owner[order], code[order], face[order]
+    is_new = np.ones(len(owner), bool)
+    is_new[1:] = (owner[1:] != owner[:-1]) | (code[1:] != code[:-1]) | (face[1:] != face[:-1])
+    return owner[is_new], code[is_new], face[is_new]
+
+
+def cut_border_rows(border: np.ndarray) -> np.ndarray:
+    """Return which of the given BORDER rows are halves of a cut edge.
+
+    A cut edge has two border rows over the same vertices; a border edge one.
+    """
+    if len(border) == 0:
+        return np.zeros(0, bool)
+    key = border[:, 0].astype(np.uint64) << np.uint64(32) | border[:, 1]
+    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    return count[inverse] > 1

@@ -1,0 +1,334 @@
+"""Prove that a cache is right: `quick` reads it, `deep` recomputes what it claims.
+
+Deep checks, each against something that does not share its code:
+
+    multiplicities   the plain float64 twin, straight from the cached triangles
+    closed volumes   the signed boundary of sides and caps is zero at each vertex
+    solids           manifold3d takes each for a manifold with positive volume
+    repair           repairing the cached mesh again changes nothing
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from svprep.cache.reader import Cache, open_cache
+from svprep.cache.verify import PROBLEMS, Problem, verify
+from svprep.defects import DEFECTS, Code
+from svprep.edges import build_edges
+from svprep.errors import InputError, first_few, require_extra
+from svprep.model import (
+    BOOL,
+    F32,
+    F64,
+    I64,
+    NO_INDEX,
+    ComponentFlag,
+    Components,
+    EdgeTable,
+    Mesh,
+)
+from svprep.planes import build_planes, facing
+from svprep.reference import EdgeSums
+from svprep.repair.stage import repair
+
+N_LIGHTS = 100
+"""Lights of a deep check: half directional, half points, some inside solids."""
+
+Step = Callable[[str, int, int], None]
+"""Told what is being checked, and how far it is: ``(what, done, of)``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """The outcome of a validation."""
+
+    path: str
+    is_deep: bool
+    problems: tuple[Problem, ...]
+    checks: tuple[str, ...]
+    """One line per check that ran, with what it covered."""
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether no check found a problem."""
+        return not self.problems
+
+
+def validate(path: str | Path, *, deep: bool = False, on_step: Step | None = None) -> Validation:
+    """Check a cache: structure and digests, and with `deep` its mathematics.
+
+    Raises
+    ------
+    CacheError
+        The file is missing or is no cache at all.
+    EnvironmentProblem
+        `deep` without the package manifold3d.
+    """
+    step = on_step or (lambda what, done, of: None)
+    if deep:
+        _manifold_type()  # before any long work
+    step("structure and digests", 0, 1)
+    problems = list(verify(Path(path)))
+    checks = ["structure, digests, ranges and table invariants"]
+    if deep and not problems:
+        with open_cache(path) as cache:
+            for check in (_check_volumes, _check_solids, _check_repair_again):
+                line, found = check(cache, step)
+                checks.append(line)
+                problems += found
+    return Validation(path=str(path), is_deep=deep, problems=tuple(problems), checks=tuple(checks))
+
+
+def explain(code: str) -> str:
+    """Return the documentation of a defect (D302) or problem (V203) code.
+
+    Raises
+    ------
+    InputError
+        There is no such code: lists those there are.
+    """
+    wanted = code.upper().split()[0] if code.strip() else ""
+    by_number = {f"D{int(c)}": d for c, d in DEFECTS.items()}
+    by_name = {c.name: DEFECTS[c] for c in Code}
+    defect = by_number.get(wanted) or by_name.get(wanted)
+    if defect is not None:
+        return (
+            f"{defect.label} (counted per {defect.unit})\n"
+            f"What:   {defect.summary}\nAction: {defect.action}"
+        )
+    if wanted in PROBLEMS:
+        return f"{wanted}\n{PROBLEMS[wanted]}"
+    known = ", ".join([*by_number, *PROBLEMS])
+    raise InputError(f'there is no code "{code}"; there are: {known}')
+
+
+def random_lights(
+    mesh: Mesh, components: Components, n_lights: int = N_LIGHTS, seed: int = 0
+) -> F32:
+    """Return ``(n_lights, 4) float32`` lights in the cache frame, seeded.
+
+    In turn: a direction from above, a direction from anywhere, a point within
+    the bounds of a random solid component (or of the model), a point around the
+    model up to ten times its extent away, below the ground too.
+    """
+    rng = np.random.default_rng(seed)
+    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+    centre, extent = (low + high) / 2.0, float((high - low).max())
+    solids = np.flatnonzero(components.flags & np.uint8(ComponentFlag.SOLID))
+    lights = np.zeros((n_lights, 4), np.float32)
+    for i in range(n_lights):
+        kind = i % 4
+        if kind < 2:
+            direction = rng.normal(size=3)
+            if kind == 0:
+                direction[2] = abs(direction[2])
+            lights[i, :3] = direction / np.linalg.norm(direction)
+            continue
+        if kind == 2 and len(solids):
+            chosen = int(rng.choice(solids))
+            faces = mesh.faces[components.face_start[chosen] : components.face_start[chosen + 1]]
+            corners = mesh.positions[faces.reshape(-1)]
+            inside = corners.min(axis=0), corners.max(axis=0)
+            lights[i, :3] = rng.uniform(*inside)
+        elif kind == 2:
+            lights[i, :3] = rng.uniform(low, high)
+        else:
+            lights[i, :3] = centre + rng.normal(size=3) * extent * 10.0 ** rng.uniform(-1, 1)
+        lights[i, 3] = 1.0
+    return lights
+
+
+def component_bounds(mesh: Mesh, components: Components) -> tuple[F32, F32]:
+    """Return each component's lowest and highest corner, ``(n_components, 3)`` [m]."""
+    corners = mesh.positions[mesh.faces]
+    start = components.face_start[:-1]
+    return (
+        np.minimum.reduceat(corners.min(axis=1), start),
+        np.maximum.reduceat(corners.max(axis=1), start),
+    )
+
+
+def closed_volume_allowed(mesh: Mesh, components: Components, light: F32) -> BOOL:
+    """Return ``(n_components,)``: solid, and the light outside its bounds.
+
+    A light inside a box finds no face of it turned its way (DESIGN section 3).
+    """
+    is_solid = (components.flags & np.uint8(ComponentFlag.SOLID)) != 0
+    if light[3] == 0.0:
+        return is_solid
+    low, high = component_bounds(mesh, components)
+    return is_solid & ((light[:3] < low) | (light[:3] > high)).any(axis=1)
+
+
+def row_multiplicity(edges: EdgeTable, facing_of_face: I64) -> I64:
+    """Return ``(n_edges,)``: ``m = s_left - s_right`` of each record."""
+    padded = np.append(facing_of_face, 0)  # NO_INDEX faces nothing
+    faces = np.where(edges.rows[:, 2:] == NO_INDEX, len(facing_of_face), edges.rows[:, 2:])
+    sides = padded[faces]
+    return sides[:, 0] - sides[:, 1]
+
+
+def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
+    """Multiplicities against the plain twin, and both volumes closed, for each light."""
+    mesh, edges, components, planes = cache.mesh, cache.edges, cache.components, cache.planes
+    sums = EdgeSums(mesh.faces)
+    balance = _VertexBalance(edges, components, len(mesh.positions))
+    component_of_face = np.repeat(np.arange(len(components.flags)), np.diff(components.face_start))
+    problems: list[Problem] = []
+    for i, light in enumerate(random_lights(mesh, components)):
+        step("shadow volumes", i, N_LIGHTS)
+        side = facing(planes.planes, light).astype(np.int64)[planes.plane_of_face]
+        by_rows = sums.of_rows(edges.rows, side)
+        by_triangles = sums.of_triangles(side)
+        wrong = np.flatnonzero(by_rows != by_triangles)
+        if len(wrong):
+            problems.append(
+                Problem(
+                    "V301",
+                    "edges/half_edges",
+                    f"light {light.tolist()}: multiplicity differs from the triangles' own at "
+                    f"edges {first_few(wrong)}",
+                )
+            )
+        allowed = closed_volume_allowed(mesh, components, light)[component_of_face]
+        closed_side = np.where(allowed, side > 0, side)
+        for name, chosen in (("robust", side), ("closed", closed_side)):
+            open_at = balance.unbalanced(row_multiplicity(edges, chosen))
+            if len(open_at):
+                problems.append(
+                    Problem(
+                        "V302",
+                        "edges/half_edges",
+                        f"light {light.tolist()}: the {name} volume is open at vertices "
+                        f"{first_few(open_at)}",
+                    )
+                )
+    line = (
+        f"{N_LIGHTS} lights: multiplicities equal the triangles' own on "
+        f"{sums.n_edges:,} edges; robust and closed volumes are closed"
+    )
+    return line, problems
+
+
+class _VertexBalance:
+    """Whether silhouette edges, each |m| times, run in closed loops per component.
+
+    With the light cap's boundary being exactly those edges, sides and caps then
+    have no boundary: the volume is closed.
+    """
+
+    def __init__(self, edges: EdgeTable, components: Components, n_vertices: int) -> None:
+        component = np.repeat(
+            np.arange(len(components.flags), dtype=np.int64), np.diff(components.edge_start)
+        )
+        key = component[:, None] * n_vertices + edges.rows[:, :2].astype(np.int64)
+        self._keys, numbers = np.unique(key, return_inverse=True)
+        self._ends = numbers.reshape(-1, 2)
+        self._n_vertices = n_vertices
+
+    def unbalanced(self, multiplicity: I64) -> I64:
+        """Return vertices where more edges end than begin, or fewer."""
+        active = np.flatnonzero(multiplicity)
+        m = multiplicity[active].astype(np.float64)
+        n = len(self._keys)
+        excess: F64 = np.bincount(self._ends[active, 1], m, n)
+        excess -= np.bincount(self._ends[active, 0], m, n)
+        return self._keys[np.flatnonzero(excess)] % self._n_vertices
+
+
+def _manifold_type() -> tuple[type, type]:
+    try:
+        from manifold3d import Manifold
+        from manifold3d import Mesh as ManifoldMesh
+    except ImportError:
+        raise require_extra("manifold3d", "judge", "validate --deep") from None
+    return Manifold, ManifoldMesh
+
+
+def _check_solids(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
+    """Ask manifold3d whether each solid component is one."""
+    manifold, manifold_mesh = _manifold_type()
+    mesh, components = cache.mesh, cache.components
+    solids = np.flatnonzero(components.flags & np.uint8(ComponentFlag.SOLID))
+    refused = []
+    for done, i in enumerate(solids):
+        if done % 256 == 0:
+            step("solids", done, len(solids))
+        faces = mesh.faces[components.face_start[i] : components.face_start[i + 1]]
+        used, local = np.unique(faces, return_inverse=True)
+        # About its own corner, so that float32 inside manifold3d costs nothing.
+        points = mesh.positions[used] - mesh.positions[used[0]]
+        body = manifold(
+            manifold_mesh(
+                vert_properties=np.ascontiguousarray(points, np.float32),
+                tri_verts=local.reshape(-1, 3).astype(np.uint32),
+            )
+        )
+        if body.status().name != "NoError" or body.volume() <= 0.0:
+            refused.append((int(i), body.status().name))
+    line = f"manifold3d agrees on {len(solids) - len(refused):,} of {len(solids):,} solids"
+    if not refused:
+        return line, []
+    shown = [f"{i} ({status})" for i, status in refused]
+    return line, [
+        Problem(
+            "V303", "components/flags", f"manifold3d refuses solid components {first_few(shown)}"
+        )
+    ]
+
+
+def _check_repair_again(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
+    """Repair the cached mesh once more: nothing may change."""
+    step("repair again", 0, 1)
+    again, report = repair(cache.mesh)
+    planes = build_planes(again, cache.planes.tolerance_m)
+    edges, components = build_edges(again, planes)
+    changed = {
+        "mesh/face_corners": not np.array_equal(again.mesh.faces, cache.mesh.faces),
+        "edges/half_edges": not np.array_equal(edges.rows, cache.edges.rows),
+        "edges/flags": not np.array_equal(edges.flags, cache.edges.flags),
+        "planes/plane_of_face": not np.array_equal(
+            planes.plane_of_face, cache.planes.plane_of_face
+        ),
+        "components/flags": not _same_but_inverted(components, cache.components),
+    }
+    problems = [
+        Problem("V304", name, "repairing the cached mesh again gives another table")
+        for name, differs in changed.items()
+        if differs
+    ]
+    if len(report.flipped_faces) or len(report.duplicates.code):
+        problems.append(
+            Problem(
+                "V304",
+                "mesh/face_corners",
+                f"repairing again flips {len(report.flipped_faces)} faces and drops "
+                f"{len(report.duplicates.code)}",
+            )
+        )
+    return "repairing again changes nothing", problems
+
+
+def _same_but_inverted(a: Components, b: Components) -> bool:
+    """Compare component tables; INVERTED tells of the source and is gone by then."""
+    told = np.uint8(0xFF ^ ComponentFlag.INVERTED)
+    return (
+        np.array_equal(a.flags & told, b.flags & told)
+        and np.array_equal(a.face_start, b.face_start)
+        and np.array_equal(a.edge_start, b.edge_start)
+        and np.array_equal(a.object_start, b.object_start)
+    )
+
+
+def iter_problem_lines(validation: Validation) -> Iterator[str]:
+    """Yield a line per problem, as the command line prints them."""
+    for problem in validation.problems:
+        yield (
+            f"{problem.code}: {validation.path}, {problem.table}: {problem.message}. "
+            f"See: svprep validate --explain {problem.code}"
+        )
