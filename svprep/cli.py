@@ -14,7 +14,7 @@ import tempfile
 import traceback
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -158,7 +158,7 @@ def validate(
                     "deep": outcome.is_deep,
                     "checks": list(outcome.checks),
                     "problems": [
-                        {"code": p.code, "table": p.table, "message": p.message}
+                        {"code": p.code, "where": p.where, "message": p.message}
                         for p in outcome.problems
                     ],
                 }
@@ -167,7 +167,7 @@ def validate(
     else:
         for line in outcome.checks:
             print(f"checked  {line}")
-        for line in checks.iter_problem_lines(outcome):
+        for line in checks.problem_lines(outcome):
             print(line)
         print("valid" if outcome.is_valid else f"not valid: {len(outcome.problems)} problems")
     if not outcome.is_valid:
@@ -263,7 +263,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
         yield tell
 
 
-def _build_summary(result: BuildResult) -> dict:
+def _build_summary(result: BuildResult) -> dict[str, Any]:
     from svprep.report import component_counts, edge_counts, total_counts
 
     prepared = result.prepared
@@ -286,7 +286,7 @@ def _build_summary(result: BuildResult) -> dict:
     }
 
 
-def _cache_summary(cache: Cache) -> dict:
+def _cache_summary(cache: Cache) -> dict[str, Any]:
     from svprep.report import component_counts, edge_counts, total_counts
 
     prepared = cache.prepared()
@@ -317,7 +317,7 @@ def _cache_summary(cache: Cache) -> dict:
     }
 
 
-def _print_counts(summary: dict) -> None:
+def _print_counts(summary: dict[str, Any]) -> None:
     edges = summary["edges"]
     n_edges = edges["pair"] + edges["border"] + edges["split"]
     print(
@@ -340,14 +340,14 @@ def _print_counts(summary: dict) -> None:
         print(f"note     {note}")
 
 
-def _print_build(summary: dict) -> None:
+def _print_build(summary: dict[str, Any]) -> None:
     _print_counts(summary)
     seconds = ", ".join(f"{name} {s:.2f}" for name, s in summary["seconds"].items())
     print(f"seconds  {sum(summary['seconds'].values()):.2f} ({seconds})")
     print(f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)")
 
 
-def _print_info(summary: dict) -> None:
+def _print_info(summary: dict[str, Any]) -> None:
     print(f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)")
     print(f"digest   {summary['content_digest']}")
     print(f"made by  svprep {summary['producer_version']}, {json.dumps(summary['config'])}")

@@ -9,6 +9,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from svprep.cache.files import resolve_target
 from svprep.edges import build_edges
 from svprep.errors import InputError
 from svprep.ingest import read
@@ -80,8 +81,8 @@ def build(
     if not inputs:
         raise InputError("nothing to build: name at least one model file")
     path = default_cache_path(inputs) if output is None else Path(output)
+    resolve_target(path)  # a slip of -o is told before any work, not after
     timer = _StageTimer(on_stage)
-
     timer.start("load")
     source = read([Path(p) for p in inputs])
     prepared = prepare(source, config or BuildConfig(), timer.start)

@@ -11,6 +11,7 @@ import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def to_csv(prepared: Prepared) -> str:
     return out.getvalue()
 
 
-def _object_entries(prepared: Prepared) -> Iterator[dict]:
+def _object_entries(prepared: Prepared) -> Iterator[dict[str, Any]]:
     """Yield the report's entry of each object."""
     mesh, components, repair = prepared.mesh, prepared.components, prepared.repair
     owner, code, face = source_faces_of_defects(prepared)
@@ -153,7 +154,7 @@ def source_faces_of_defects(prepared: Prepared) -> tuple[np.ndarray, np.ndarray,
     owner_of_face = np.repeat(
         np.arange(len(prepared.object_names), dtype=np.uint32), np.diff(mesh.object_face_start)
     )
-    faces_of = {Code.FLIPPED_FACE: prepared.repair.flipped_faces}
+    faces_of: dict[Code, np.ndarray] = {Code.FLIPPED_FACE: prepared.repair.flipped_faces}
     kind = edges.flags & np.uint8(EdgeFlag.KIND_MASK)
     split = edges.rows[kind == EdgeKind.SPLIT, 2:].reshape(-1)
     faces_of[Code.NONMANIFOLD_EDGE] = split[split != NO_INDEX]
@@ -176,7 +177,9 @@ def source_faces_of_defects(prepared: Prepared) -> tuple[np.ndarray, np.ndarray,
     triples = [(found.object_index, found.code, found.source_face)]
     for defect, faces in faces_of.items():
         triples.append((owner_of_face[faces], np.full(len(faces), defect), mesh.source_face[faces]))
-    owner, code, face = (np.concatenate(column).astype(np.int64) for column in zip(*triples, strict=True))
+    owner, code, face = (
+        np.concatenate(column).astype(np.int64) for column in zip(*triples, strict=True)
+    )
     order = np.lexsort((face, code, owner))
     owner, code, face = owner[order], code[order], face[order]
     is_new = np.ones(len(owner), bool)

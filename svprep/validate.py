@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from svprep.cache.checks import CHECKS, Check, Problem
 from svprep.cache.reader import Cache, open_cache
-from svprep.cache.verify import PROBLEMS, Problem, verify
-from svprep.defects import DEFECTS, Code
+from svprep.cache.verify import verify
+from svprep.defects import DEFECTS
 from svprep.edges import build_edges
 from svprep.errors import InputError, first_few, require_extra
 from svprep.model import (
@@ -38,6 +39,41 @@ from svprep.repair.stage import repair
 
 N_LIGHTS = 100
 """Lights of a deep check: half directional, half points, some inside solids."""
+
+_BUG = (
+    "Shadows may be wrong. Build the cache again with a released svprep; report it if that fails."
+)
+
+DEEP_CHECKS: dict[str, Check] = {
+    c.code: c
+    for c in (
+        Check(
+            "V601",
+            "WRONG_MULTIPLICITY",
+            "How often an edge's side is needed differs from what the triangles say.",
+            _BUG,
+        ),
+        Check(
+            "V602",
+            "OPEN_VOLUME",
+            "For some light the sides and caps of a shadow volume leave a gap.",
+            _BUG,
+        ),
+        Check(
+            "V603",
+            "DOUBTFUL_SOLID",
+            "manifold3d does not take a component for a solid that svprep calls one.",
+            _BUG,
+        ),
+        Check(
+            "V604",
+            "UNSTABLE_REPAIR",
+            "Repairing the cached mesh again gives another result.",
+            "The cache was built by another version, or the repair has a fault. " + _BUG,
+        ),
+    )
+}
+"""The checks of `validate --deep`; those of the quick check are `cache.checks.CHECKS`."""
 
 Step = Callable[[str, int, int], None]
 """Told what is being checked, and how far it is: ``(what, done, of)``."""
@@ -85,25 +121,25 @@ def validate(path: str | Path, *, deep: bool = False, on_step: Step | None = Non
 
 
 def explain(code: str) -> str:
-    """Return the documentation of a defect (D302) or problem (V203) code.
+    """Return the documentation of a defect (D302) or check (V203) code, or of its name.
 
     Raises
     ------
     InputError
         There is no such code: lists those there are.
     """
-    wanted = code.upper().split()[0] if code.strip() else ""
-    by_number = {f"D{int(c)}": d for c, d in DEFECTS.items()}
-    by_name = {c.name: DEFECTS[c] for c in Code}
-    defect = by_number.get(wanted) or by_name.get(wanted)
-    if defect is not None:
-        return (
-            f"{defect.label} (counted per {defect.unit})\n"
-            f"What:   {defect.summary}\nAction: {defect.action}"
-        )
-    if wanted in PROBLEMS:
-        return f"{wanted}\n{PROBLEMS[wanted]}"
-    known = ", ".join([*by_number, *PROBLEMS])
+    wanted = code.strip().upper().split(" ")[0]
+    for defect in DEFECTS.values():
+        if wanted in (f"D{int(defect.code)}", defect.code.name):
+            return (
+                f"{defect.label} (counted per {defect.unit})\n"
+                f"What:   {defect.summary}\nAction: {defect.action}"
+            )
+    checks = {**CHECKS, **DEEP_CHECKS}
+    for check in checks.values():
+        if wanted in (check.code, check.name):
+            return f"{check.label}\nWhat:  {check.summary}\nMeans: {check.consequence}"
+    known = ", ".join([*(f"D{int(c)}" for c in DEFECTS), *checks])
     raise InputError(f'there is no code "{code}"; there are: {known}')
 
 
@@ -153,15 +189,16 @@ def component_bounds(mesh: Mesh, components: Components) -> tuple[F32, F32]:
     )
 
 
-def closed_volume_allowed(mesh: Mesh, components: Components, light: F32) -> BOOL:
+def closed_volume_allowed(components: Components, bounds: tuple[F32, F32], light: F32) -> BOOL:
     """Return ``(n_components,)``: solid, and the light outside its bounds.
 
-    A light inside a box finds no face of it turned its way (DESIGN section 3).
+    ``bounds`` as `component_bounds` returns them. A light inside a box finds no
+    face turned its way; a directional light is always outside.
     """
     is_solid = (components.flags & np.uint8(ComponentFlag.SOLID)) != 0
     if light[3] == 0.0:
         return is_solid
-    low, high = component_bounds(mesh, components)
+    low, high = bounds
     return is_solid & ((light[:3] < low) | (light[:3] > high)).any(axis=1)
 
 
@@ -177,32 +214,34 @@ def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     """Multiplicities against the plain twin, and both volumes closed, for each light."""
     mesh, edges, components, planes = cache.mesh, cache.edges, cache.components, cache.planes
     sums = EdgeSums(mesh.faces)
+    edge_of_rows = sums.edge_of_rows(edges.rows)
+    bounds = component_bounds(mesh, components)
     balance = _VertexBalance(edges, components, len(mesh.positions))
     component_of_face = np.repeat(np.arange(len(components.flags)), np.diff(components.face_start))
     problems: list[Problem] = []
     for i, light in enumerate(random_lights(mesh, components)):
         step("shadow volumes", i, N_LIGHTS)
         side = facing(planes.planes, light).astype(np.int64)[planes.plane_of_face]
-        by_rows = sums.of_rows(edges.rows, side)
+        by_rows = sums.of_rows(edges.rows, side, edge_of_rows)
         by_triangles = sums.of_triangles(side)
         wrong = np.flatnonzero(by_rows != by_triangles)
         if len(wrong):
             problems.append(
                 Problem(
-                    "V301",
+                    "V601",
                     "edges/half_edges",
                     f"light {light.tolist()}: multiplicity differs from the triangles' own at "
                     f"edges {first_few(wrong)}",
                 )
             )
-        allowed = closed_volume_allowed(mesh, components, light)[component_of_face]
+        allowed = closed_volume_allowed(components, bounds, light)[component_of_face]
         closed_side = np.where(allowed, side > 0, side)
         for name, chosen in (("robust", side), ("closed", closed_side)):
             open_at = balance.unbalanced(row_multiplicity(edges, chosen))
             if len(open_at):
                 problems.append(
                     Problem(
-                        "V302",
+                        "V602",
                         "edges/half_edges",
                         f"light {light.tolist()}: the {name} volume is open at vertices "
                         f"{first_few(open_at)}",
@@ -210,7 +249,7 @@ def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
                 )
     line = (
         f"{N_LIGHTS} lights: multiplicities equal the triangles' own on "
-        f"{sums.n_edges:,} edges; robust and closed volumes are closed"
+        f"{len(sums.edges):,} edges; robust and closed volumes are closed"
     )
     return line, problems
 
@@ -236,9 +275,9 @@ class _VertexBalance:
         active = np.flatnonzero(multiplicity)
         m = multiplicity[active].astype(np.float64)
         n = len(self._keys)
-        excess: F64 = np.bincount(self._ends[active, 1], m, n)
-        excess -= np.bincount(self._ends[active, 0], m, n)
-        return self._keys[np.flatnonzero(excess)] % self._n_vertices
+        ending: F64 = np.bincount(self._ends[active, 1], m, n).astype(np.float64)
+        beginning = np.bincount(self._ends[active, 0], m, n)
+        return self._keys[np.flatnonzero(ending != beginning)] % self._n_vertices
 
 
 def _manifold_type() -> tuple[type, type]:
@@ -277,7 +316,7 @@ def _check_solids(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     shown = [f"{i} ({status})" for i, status in refused]
     return line, [
         Problem(
-            "V303", "components/flags", f"manifold3d refuses solid components {first_few(shown)}"
+            "V603", "components/flags", f"manifold3d refuses solid components {first_few(shown)}"
         )
     ]
 
@@ -298,20 +337,21 @@ def _check_repair_again(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
         "components/flags": not _same_but_inverted(components, cache.components),
     }
     problems = [
-        Problem("V304", name, "repairing the cached mesh again gives another table")
+        Problem("V604", name, "repairing the cached mesh again gives another table")
         for name, differs in changed.items()
         if differs
     ]
     if len(report.flipped_faces) or len(report.duplicates.code):
         problems.append(
             Problem(
-                "V304",
+                "V604",
                 "mesh/face_corners",
                 f"repairing again flips {len(report.flipped_faces)} faces and drops "
                 f"{len(report.duplicates.code)}",
             )
         )
-    return "repairing again changes nothing", problems
+    line = "repairing again changes nothing" if not problems else "repairing again"
+    return line, problems
 
 
 def _same_but_inverted(a: Components, b: Components) -> bool:
@@ -325,10 +365,11 @@ def _same_but_inverted(a: Components, b: Components) -> bool:
     )
 
 
-def iter_problem_lines(validation: Validation) -> Iterator[str]:
+def problem_lines(validation: Validation) -> Iterator[str]:
     """Yield a line per problem, as the command line prints them."""
+    checks = {**CHECKS, **DEEP_CHECKS}
     for problem in validation.problems:
         yield (
-            f"{problem.code}: {validation.path}, {problem.table}: {problem.message}. "
-            f"See: svprep validate --explain {problem.code}"
+            f"{checks[problem.code].label}: {validation.path}, {problem.where}: "
+            f"{problem.message}. See: svprep validate --explain {problem.code}"
         )

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +35,8 @@ from svprep.model import (
     SourceFile,
 )
 
-Raw = NDArray[np.generic]
-Fetch = Callable[[str], NDArray[np.generic]]
+Raw = NDArray[Any]
+Fetch = Callable[[str], Raw]
 """Gives the stored array of a dataset path."""
 
 FACE_BLOCK = 1 << 17
@@ -53,6 +55,8 @@ def encode_datasets(prepared: Prepared) -> dict[str, Raw]:
     findings = prepared.repair.face_findings
     corners = _as("mesh.faces", mesh.faces, "<u4", (-1, 3)).reshape(-1)
     positions = _as("mesh.positions", mesh.positions, "<f4", (-1, 3))
+    if not np.isfinite(positions).all():
+        raise InternalError("mesh.positions are not all finite")
     if len(corners) and int(corners.max()) >= len(positions):
         raise InternalError("mesh.faces refers to vertices that do not exist")
     names = [_name_bytes(name) for name in prepared.object_names]
@@ -119,7 +123,7 @@ def _json(what: str, value: object) -> bytes:
     return text.encode()
 
 
-def _as(what: str, array: Raw, dtype: str, shape: tuple[int, ...]) -> NDArray[np.generic]:
+def _as(what: str, array: Raw, dtype: str, shape: tuple[int, ...]) -> Raw:
     array = np.asarray(array)
     fits = array.ndim == len(shape) and all(
         want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
@@ -132,7 +136,7 @@ def _as(what: str, array: Raw, dtype: str, shape: tuple[int, ...]) -> NDArray[np
     return np.ascontiguousarray(array, dtype)
 
 
-def _offsets(what: str, offsets: I64) -> NDArray[np.generic]:
+def _offsets(what: str, offsets: I64) -> Raw:
     array = np.asarray(offsets)
     if array.ndim != 1 or array.dtype != np.int64 or not len(array):
         raise InternalError(f"{what}: expected int64 offsets, got {array.dtype} {array.shape}")
@@ -162,7 +166,7 @@ def _sparse_counts(dense: U32) -> tuple[Raw, Raw, Raw]:
     return row.astype("<u4"), codes[by_code][column], dense[row, by_code[column]].astype("<u4")
 
 
-def half_edges_of_rows(corners: Raw, rows: U32) -> NDArray[np.generic]:
+def half_edges_of_rows(corners: Raw, rows: U32) -> Raw:
     """Return ``(n_edges, 2)``: the left and right half-edge of each edge record.
 
     Half-edge ``3 f + i`` runs from corner i of face f to the next; `NO_INDEX`
@@ -223,7 +227,7 @@ def face_normals(positions: Raw, faces: U32) -> F64:
     return n
 
 
-def face_of_plane(table: PlaneTable, mesh: Mesh) -> NDArray[np.generic]:
+def face_of_plane(table: PlaneTable, mesh: Mesh) -> Raw:
     """Return the first face of each plane record whose own normal is the record's."""
     planes = _as("planes.planes", table.planes, "<f8", (-1, 4))
     plane_of_face = _as("plane_of_face", table.plane_of_face, "<u4", (len(mesh.faces),))
@@ -275,7 +279,8 @@ def decode_planes(fetch: Fetch, tolerance_m: float) -> PlaneTable:
     planes = np.empty((len(face), 4), np.float64)
     for start in range(0, len(face), FACE_BLOCK):
         block = slice(start, start + FACE_BLOCK)
-        planes[block, :3] = face_normals(positions, faces[face[block]])
+        with np.errstate(invalid="raise", over="raise"):  # positions that are not numbers
+            planes[block, :3] = face_normals(positions, faces[face[block]])
     planes[:, 3] = d
     return PlaneTable(
         planes=frozen(planes),
@@ -324,10 +329,7 @@ def decode_names(fetch: Fetch) -> tuple[str, ...]:
     """Return the object names of a cache."""
     blob = fetch("objects/name_bytes").tobytes()
     start = fetch("objects/name_start").tolist()
-    return tuple(
-        blob[a:b].decode("utf-8", "surrogateescape")
-        for a, b in zip(start[:-1], start[1:], strict=True)
-    )
+    return tuple(blob[a:b].decode("utf-8", "surrogateescape") for a, b in pairwise(start))
 
 
 def decode_sources(paths: object, sources: object) -> tuple[SourceFile, ...]:
@@ -340,11 +342,11 @@ def decode_sources(paths: object, sources: object) -> tuple[SourceFile, ...]:
     )
 
 
-def _native(array: Raw, dtype: type[np.generic]) -> NDArray:
+def _native(array: Raw, dtype: type[np.generic]) -> NDArray[Any]:
     return frozen(array.astype(dtype, copy=False))
 
 
-def frozen(array: NDArray) -> NDArray:
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """Return `array`, made read-only."""
     array.flags.writeable = False
     return array

@@ -33,7 +33,7 @@ LOCK_POLL_S = 0.05
 
 def problem_of(error: OSError, target: Path) -> EnvironmentProblem:
     """Return the one line that says why `target` could not be written."""
-    reason = os.strerror(error.errno) if error.errno else str(error)
+    reason = os.strerror(error.errno) if error.errno else " ".join(str(error).split())
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         what = f"the disk is full ({reason}). Free some space or choose another place with -o"
     elif error.errno == errno.EFBIG:
@@ -57,6 +57,8 @@ def resolve_target(path: str | os.PathLike[str]) -> Path:
     CacheError
         It exists and is not a regular file, or holds something else than HDF5:
         a slip of ``-o`` must not overwrite a model.
+    EnvironmentProblem
+        Its folder is missing.
     """
     target = Path(os.path.realpath(path))
     try:
@@ -66,7 +68,9 @@ def resolve_target(path: str | os.PathLike[str]) -> Path:
             raise CacheError(f"{target}: is {kind}. Name a file with -o, such as NAME.svp.h5")
         with target.open("rb") as file:
             head = file.read(len(HDF5_SIGNATURE))
-    except FileNotFoundError:
+    except FileNotFoundError as error:
+        if not target.parent.is_dir():
+            raise problem_of(error, target) from error
         return target
     except OSError as error:
         raise problem_of(error, target) from error
@@ -107,6 +111,10 @@ def exclusive_lock(target: Path, wait_s: float = 0.0) -> Iterator[None]:
     except OSError as error:
         raise problem_of(error, target) from error
     try:
+        # For the message to others only: on a full disk the lock holds without it.
+        with contextlib.suppress(OSError):
+            os.ftruncate(fd, 0)
+            os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
         yield
     finally:
         with contextlib.suppress(OSError):
@@ -134,10 +142,6 @@ def _try_lock(lock_path: Path) -> int | None:
         if (held.st_dev, held.st_ino) != (named.st_dev, named.st_ino):
             os.close(fd)
             continue
-        # For the message to others only: on a full disk the lock holds without it.
-        with contextlib.suppress(OSError):
-            os.ftruncate(fd, 0)
-            os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
         return fd
 
 
@@ -203,27 +207,32 @@ class Temporary:
         os.replace(self.path, self.target)
         return n_bytes
 
-    # What h5py's file-object driver calls.
+    # From here on: what h5py's file-object driver calls.
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Move to `offset`; return the place."""
         base = {os.SEEK_SET: 0, os.SEEK_CUR: self._at}.get(whence)
         self._at = offset + (os.fstat(self._fd).st_size if base is None else base)
         return self._at
 
     def tell(self) -> int:
+        """Return the place."""
         return self._at
 
     def read(self, size: int = -1) -> bytes:
+        """Return `size` bytes from the place on."""
         data = os.pread(self._fd, size if size >= 0 else os.fstat(self._fd).st_size, self._at)
         self._at += len(data)
         return data
 
     def readinto(self, buffer: memoryview) -> int:
+        """Fill `buffer`; return how many bytes there were."""
         data = self.read(len(buffer))
         buffer[: len(data)] = data
         return len(data)
 
     def write(self, buffer: memoryview) -> int:
+        """Take every byte; a failure is kept for `check`."""
         view = memoryview(buffer).cast("B")
         done = 0
         try:
@@ -235,6 +244,7 @@ class Temporary:
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:
+        """Set the size; a failure is kept for `check`."""
         size = self._at if size is None else size
         try:
             if self._error is None:

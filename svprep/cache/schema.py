@@ -92,6 +92,7 @@ class AttributeSpec:
 
     @property
     def is_text(self) -> bool:
+        """Whether the value is a text, stored as fixed-length UTF-8."""
         return self.dtype in ("utf8", "json")
 
 
@@ -335,9 +336,7 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
     AttributeSpec("config", "json", (), "", "An object: what the build was asked for."),
     AttributeSpec("notes", "json", (), "", "A list of lines on what was left out or converted."),
     AttributeSpec("grid_step_m", "<f8", (), "m", "The grid's step, a power of two."),
-    AttributeSpec(
-        "grid_origin_m", "<f8", (3,), "m", "The grid's origin in source coordinates."
-    ),
+    AttributeSpec("grid_origin_m", "<f8", (3,), "m", "The grid's origin in source coordinates."),
     AttributeSpec(
         "planar_tolerance_m", "<f8", (), "m", "How far a vertex may lie from its face's record."
     ),
@@ -360,6 +359,34 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
         in_content=False,
     ),
 )
+
+
+def shape_problem(
+    spec: DatasetSpec, dtype: np.dtype, shape: tuple[int, ...], sizes: dict[str, int]
+) -> str | None:
+    """Return why an array does not fit its declaration, or None.
+
+    `sizes` holds the symbols known so far; a symbol met for the first time is
+    learnt from the shape, so datasets are to be given in schema order.
+    """
+    learnt = dict(sizes)
+    fits = dtype == np.dtype(spec.dtype) and len(shape) == len(spec.shape)
+    for dim, length in zip(spec.shape, shape, strict=False):
+        if isinstance(dim, int):
+            fits &= length == dim
+        elif dim.symbol in learnt:
+            fits &= length == dim.length(learnt)
+        elif (value := dim.solve(length)) is not None:
+            learnt[dim.symbol] = value
+        else:
+            fits = False
+    if fits:
+        sizes.update(learnt)
+        return None
+    symbols = [d.symbol for d in spec.shape if isinstance(d, Dim) and d.symbol in sizes]
+    given = "".join(f", {symbol} = {sizes[symbol]}" for symbol in symbols)
+    return f"expected {spec.dtype} {spec.shape_text}{given}; got {dtype.str} {shape}"
+
 
 SPEC_OF_PATH: Final = {spec.path: spec for spec in DATASETS}
 ATTRIBUTE_OF_NAME: Final = {spec.name: spec for spec in ATTRIBUTES}

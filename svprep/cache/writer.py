@@ -10,7 +10,6 @@ other threads while HDF5 writes.
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -39,8 +38,9 @@ from svprep.cache.schema import (
     content_digest,
     item_digest,
     root_digest,
+    shape_problem,
 )
-from svprep.errors import InternalError
+from svprep.errors import EnvironmentProblem, InternalError
 from svprep.model import Prepared
 
 WRITE_POINTS: Final[tuple[str, ...]] = (
@@ -123,11 +123,17 @@ def write_cache(
                 temporary.sync()
                 at("synced")
                 n_bytes = temporary.rename()
-            at("renamed")
-            sync_folder(target.parent)
-            at("folder_synced")
         except OSError as error:
             raise problem_of(error, target) from error
+        at("renamed")
+        try:
+            sync_folder(target.parent)
+        except OSError as error:
+            raise EnvironmentProblem(
+                f"{target}: written, but its folder could not be synced to the disk ({error}). "
+                "A power failure now may bring the older cache back; build again"
+            ) from error
+        at("folder_synced")
     sizes = {name: array.nbytes for name, array in datasets.items()}
     return CacheSummary(target, n_bytes, content, sizes)
 
@@ -183,18 +189,8 @@ def _check_shapes(datasets: Mapping[str, Raw], attributes: Mapping[str, bytes | 
     sizes: dict[str, int] = {}
     for spec in DATASETS:
         array = datasets[spec.path]
-        want: list[int] = []
-        for dim, length in zip(spec.shape, array.shape, strict=False):
-            if not isinstance(dim, int) and dim.symbol not in sizes:
-                with contextlib.suppress(TypeError):
-                    sizes[dim.symbol] = int(dim.solve(length))  # type: ignore[arg-type]
-            known = isinstance(dim, int) or dim.symbol in sizes
-            want.append((dim if isinstance(dim, int) else dim.length(sizes)) if known else -1)
-        if array.dtype != np.dtype(spec.dtype) or tuple(want) != array.shape:
-            raise InternalError(
-                f"{spec.path}: expected {spec.dtype} {spec.shape_text} = {tuple(want)}, "
-                f"got {array.dtype.str} {array.shape}"
-            )
+        if problem := shape_problem(spec, array.dtype, array.shape, sizes):
+            raise InternalError(f"{spec.path}: {problem}")
     for name, value in attributes.items():
         if not isinstance(value, bytes) and not np.all(np.isfinite(value)):
             raise InternalError(f"{name}: expected finite numbers, got {value}")

@@ -14,7 +14,7 @@ import numpy as np
 from svprep.defects import Code
 from svprep.kernels.rows import count_distinct_per_group, first_equal_row
 from svprep.kernels.surface import face_normals
-from svprep.model import I32, I64, U32, FaceFindings, Grid, Mesh, SourceMesh
+from svprep.model import BOOL, I32, I64, U32, FaceFindings, Grid, Mesh, SourceMesh
 from svprep.parallel import for_ranges
 from svprep.repair.grid import choose_grid, to_grid
 
@@ -69,7 +69,7 @@ def weld(source: SourceMesh, weld_tolerance_m: float = 0.0) -> tuple[Mesh, WeldR
     normals = np.empty((len(source.faces), 3))
     corners = np.arange(len(corner_points), dtype=np.uint32).reshape(-1, 3)
     face_normals(corner_points, corners, normals)
-    has_area = normals.any(axis=1)
+    has_area: BOOL = np.any(normals, axis=1)
     dropped = _list_dropped(source, ~has_area)
     face_start = source.object_face_start
     source_face = source.source_face
@@ -107,9 +107,7 @@ def weld(source: SourceMesh, weld_tolerance_m: float = 0.0) -> tuple[Mesh, WeldR
     return mesh, report
 
 
-def _welded(
-    n_distinct: I64, object_vertex_start: I64, source: SourceMesh, has_area: np.ndarray
-) -> U32:
+def _welded(n_distinct: I64, object_vertex_start: I64, source: SourceMesh, has_area: BOOL) -> U32:
     """Count source vertices merged away, over the faces that stayed."""
     if not has_area.all():
         kept = np.ascontiguousarray(source.faces[has_area])
@@ -119,7 +117,7 @@ def _welded(
     return (n_distinct - np.diff(object_vertex_start)).astype(np.uint32)
 
 
-def _list_dropped(source: SourceMesh, is_flat: np.ndarray) -> FaceFindings:
+def _list_dropped(source: SourceMesh, is_flat: BOOL) -> FaceFindings:
     """List faces without area: degenerate in the source already, or collapsed by the grid."""
     flat = np.flatnonzero(is_flat)
     corners = source.positions[source.faces[flat]]

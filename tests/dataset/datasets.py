@@ -1,0 +1,87 @@
+"""Every data file that the dataset tests run on, and what is built from each once.
+
+Files in ``data/`` are always there. Those in ``../shared/data`` are used when
+present; a test that misses them skips with their folder's name, so that the
+run's summary says what was not covered.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from svprep.errors import InputError
+from svprep.ingest import read
+from svprep.model import Mesh, Prepared, SourceMesh
+from svprep.pipeline import BuildConfig, prepare
+from svprep.repair.weld import weld
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT / "data"
+SHARED = ROOT.parent / "shared" / "data"
+SHARED_FOLDERS = ("cities", "broken", "readers")
+READ = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+"""Suffixes that svprep reads now; other files in ``../shared`` are for later formats."""
+
+
+def is_readable(path: Path) -> bool:
+    """Whether `path` has a suffix of `READ`, gzipped or not."""
+    return path.name.lower().removesuffix(".gz").endswith(READ)
+
+
+def manifest() -> dict[str, dict]:
+    """Return ``data/manifest.toml`` by file name."""
+    with (DATA / "manifest.toml").open("rb") as file:
+        return {entry["name"]: entry for entry in tomllib.load(file)["file"]}
+
+
+def shared_files() -> list[Path]:
+    """Return the files of ``../shared/data``, or none where it is absent."""
+    return [
+        path
+        for folder in SHARED_FOLDERS
+        for path in sorted((SHARED / folder).rglob("*"))
+        if path.is_file()
+    ]
+
+
+def buildable_files() -> list[Path]:
+    """Return every file that should build: ``data/`` by its manifest, shared by trying."""
+    own = [DATA / name for name, entry in manifest().items() if "refused" not in entry["expect"]]
+    return own + [path for path in shared_files() if is_readable(path)]
+
+
+def label(path: Path) -> str:
+    """Return a short test id."""
+    base = SHARED if path.is_relative_to(SHARED) else DATA
+    return path.relative_to(base).as_posix()
+
+
+@dataclass(frozen=True, slots=True)
+class Built:
+    """A file as read, as welded, and as prepared."""
+
+    source: SourceMesh
+    welded: Mesh
+    prepared: Prepared
+
+
+@lru_cache(maxsize=3)
+def build(path: Path) -> Built | str:
+    """Build a file in memory; return the message if it is refused."""
+    try:
+        source = read([path])
+        return Built(source, weld(source)[0], prepare(source, BuildConfig()))
+    except InputError as error:
+        return str(error)
+
+
+def thin(n: int, limit: int, seed: int = 0) -> np.ndarray:
+    """Return up to `limit` of the numbers below `n`, seeded, ascending."""
+    if n <= limit:
+        return np.arange(n)
+    return np.sort(np.random.default_rng(seed).choice(n, limit, replace=False))

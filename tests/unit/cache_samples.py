@@ -1,0 +1,164 @@
+"""A small valid `Prepared`, made by hand: what the cache tests write and damage.
+
+Object "roof" is an open strip of two triangles in the plane z = 4 (one record,
+one planar pair, four borders); object "tetra" is a closed tetrahedron.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+
+from svprep.defects import DEFECTS, Code
+from svprep.model import (
+    NO_INDEX,
+    Components,
+    EdgeFlag,
+    EdgeKind,
+    EdgeTable,
+    FaceFindings,
+    Grid,
+    Mesh,
+    PlaneTable,
+    Prepared,
+    RepairRecord,
+    SourceFile,
+)
+
+STEP_M = 2.0**-11
+
+
+def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
+    """Return the sample, its positions moved by `shift_m` (a multiple of the step) along x."""
+    positions = np.array(
+        [
+            # the strip       3---2
+            #                 | \ |     seen from above
+            #                 0---1
+            [0, 0, 4],
+            [2, 0, 4],
+            [2, 1, 4],
+            [0, 1, 4],
+            # the tetrahedron
+            [5, 0, 0],
+            [6, 0, 0],
+            [5, 1, 0],
+            [5, 0, 1],
+        ],
+        np.float32,
+    )
+    positions[:, 0] += np.float32(shift_m)
+    faces = np.array(
+        [[0, 1, 3], [1, 2, 3], [4, 6, 5], [4, 5, 7], [5, 6, 7], [4, 7, 6]],
+        np.uint32,
+    )
+    plane_of_face = np.array([0, 0, 1, 2, 3, 4], np.uint32)
+    first_face = np.array([0, 2, 3, 4, 5])
+    a, b, c = (positions[faces[first_face, i]].astype(np.float64) for i in range(3))
+    normal = np.cross(b - a, c - a)
+    planes = np.column_stack([normal, -(normal * a).sum(1)])
+    none = NO_INDEX
+    rows = np.array(
+        [
+            [0, 1, 0, none],
+            [0, 3, none, 0],
+            [1, 2, 1, none],
+            [1, 3, 0, 1],
+            [2, 3, 1, none],
+            [4, 5, 3, 2],
+            [4, 6, 2, 5],
+            [4, 7, 5, 3],
+            [5, 6, 4, 2],
+            [5, 7, 3, 4],
+            [6, 7, 4, 5],
+        ],
+        np.uint32,
+    )
+    border, pair = int(EdgeKind.BORDER), int(EdgeKind.PAIR)
+    flags = [border, border, border, pair | int(EdgeFlag.PLANAR), border] + [pair] * 6
+    counts = np.zeros((2, len(DEFECTS)), np.uint32)
+    column = list(DEFECTS)
+    counts[0, column.index(Code.OPEN_SHELL)] = 4
+    counts[0, column.index(Code.DEGENERATE_FACE)] = 1
+    counts[1, column.index(Code.FLIPPED_FACE)] = 2
+    return Prepared(
+        sources=(
+            SourceFile("models/sample.obj", "obj", 321, "ab" * 32),
+            SourceFile("models/zweite Datei.ply", "ply", 123, "cd" * 32),
+        ),
+        object_names=("roof", "Türmchen \N{CASTLE}"),
+        object_source=np.array([0, 1], np.uint32),
+        mesh=Mesh(
+            grid=Grid(STEP_M, np.array([85_000.0, 446_000.0, -2.0])),
+            positions=positions,
+            faces=faces,
+            object_vertex_start=np.array([0, 4, 8], np.int64),
+            object_face_start=np.array([0, 2, 6], np.int64),
+            source_face=np.array([0, 2, 0, 1, 2, 3], np.uint32),
+        ),
+        components=Components(
+            object_start=np.array([0, 1, 2], np.int64),
+            face_start=np.array([0, 2, 6], np.int64),
+            edge_start=np.array([0, 5, 11], np.int64),
+            flags=np.array([0, 3], np.uint8),
+        ),
+        planes=PlaneTable(planes, plane_of_face, tolerance_m=STEP_M / 2),
+        edges=EdgeTable(rows, np.array(flags, np.uint8)),
+        repair=RepairRecord(
+            defect_counts=counts,
+            source_triangles=np.array([3, 4], np.uint32),
+            face_findings=FaceFindings(
+                code=np.array([101, 201, 201], np.uint16),
+                object_index=np.array([0, 1, 1], np.uint32),
+                source_face=np.array([1, 0, 3], np.uint32),
+            ),
+            flipped_faces=np.array([2, 5], np.uint32),
+        ),
+        config={"weld_tolerance_m": 0.0, "lod": None, "objects": ["building"]},
+        notes=("sample.obj: 3 lines are not surfaces and were left out",),
+    )
+
+
+def assert_same(got: object, expected: object, where: str = "prepared") -> None:
+    """Assert that two `Prepared` (or parts of them) are equal, naming what is not."""
+    if is_dataclass(expected):
+        for field in fields(expected):
+            inner = getattr(got, field.name), getattr(expected, field.name)
+            assert_same(*inner, f"{where}.{field.name}")
+    elif isinstance(expected, np.ndarray):
+        assert isinstance(got, np.ndarray), where
+        assert got.dtype == expected.dtype, where
+        assert np.array_equal(got, expected), where
+    else:
+        assert got == expected, where
+
+
+def nothing() -> Prepared:
+    """Return a city without a single object."""
+    sample = strip_and_tetrahedron()
+    one, none32 = np.zeros(1, np.int64), np.zeros(0, np.uint32)
+    return Prepared(
+        sources=(),
+        object_names=(),
+        object_source=none32,
+        mesh=Mesh(
+            grid=sample.mesh.grid,
+            positions=np.zeros((0, 3), np.float32),
+            faces=np.zeros((0, 3), np.uint32),
+            object_vertex_start=one,
+            object_face_start=one,
+            source_face=none32,
+        ),
+        components=Components(one, one, one, np.zeros(0, np.uint8)),
+        planes=PlaneTable(np.zeros((0, 4)), none32, STEP_M),
+        edges=EdgeTable(np.zeros((0, 4), np.uint32), np.zeros(0, np.uint8)),
+        repair=RepairRecord(
+            defect_counts=np.zeros((0, len(DEFECTS)), np.uint32),
+            source_triangles=none32,
+            face_findings=FaceFindings(np.zeros(0, np.uint16), none32, none32),
+            flipped_faces=none32,
+        ),
+        config={},
+        notes=(),
+    )
