@@ -166,11 +166,15 @@ def _coincident_faces(mesh: Mesh) -> _Twins:
 
 
 def _same_way_again(twins: _Twins, is_kept: BOOL, is_flipped: BOOL) -> I64:
-    """Return kept faces that repeat a lower kept face in the same direction."""
+    """Return kept faces that repeat another in the same direction.
+
+    One as it was wound in the source stays rather than a turned one, and then
+    the lowest, so that how many are turned does not depend on face order.
+    """
     kept = is_kept[twins.face]
     face, group = twins.face[kept], twins.group[kept]
     direction = twins.runs_down[kept] ^ is_flipped[face]
-    order = np.lexsort((face, direction, group))
+    order = np.lexsort((face, is_flipped[face], direction, group))
     again = (group[order][1:] == group[order][:-1]) & (
         direction[order][1:] == direction[order][:-1]
     )

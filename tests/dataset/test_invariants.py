@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 import pytest
-from tests.dataset.datasets import SHARED, Built, build, buildable_files, label, thin
 
 from svprep import reference
 from svprep.model import NO_INDEX, ComponentFlag
@@ -16,6 +14,7 @@ from svprep.validate import (
     random_lights,
     row_multiplicity,
 )
+from tests.dataset.datasets import SHARED, Built, build, buildable_files, label, thin
 
 FILES = buildable_files()
 LIGHTS = 100
@@ -23,11 +22,9 @@ LIGHTS = 100
 
 @pytest.fixture(params=FILES, ids=[label(p) for p in FILES], scope="module")
 def built(request: pytest.FixtureRequest) -> Built:
-    """Yield each file in turn, built; a refused one is another test's business."""
+    """Yield each file in turn, built."""
     outcome = build(request.param)
-    if isinstance(outcome, str):
-        assert request.param.is_relative_to(SHARED), outcome
-        pytest.skip(f"refused, see test_hostile_files: {outcome}")
+    assert not isinstance(outcome, str), outcome
     return outcome
 
 
@@ -118,7 +115,7 @@ def test_both_volumes_tell_shadow_as_brute_force_does(built: Built, is_long: boo
     mesh, edges, components = prepared.mesh, prepared.edges, prepared.components
     rng = np.random.default_rng(2)
     wanted, points_at_once = (10_000, 40) if is_long else (1_000, 20)
-    budget = 2e9 if is_long else 4e7
+    budget = 2e9 if is_long else 1e7
     tested = shaded = by_closed = 0
     bounds = component_bounds(mesh, components)
     lights = random_lights(mesh, components, 64, seed=3)
@@ -131,7 +128,7 @@ def test_both_volumes_tell_shadow_as_brute_force_does(built: Built, is_long: boo
         chosen = int(rng.choice(pool))
         f0, f1 = components.face_start[chosen], components.face_start[chosen + 1]
         e0, e1 = components.edge_start[chosen], components.edge_start[chosen + 1]
-        n_points = int(min(points_at_once, max(1, 4e6 // (e1 - e0))))
+        n_points = int(min(points_at_once, max(1, 1e6 // (e1 - e0))))
         budget -= n_points * float(e1 - e0)
         faces, rows = mesh.faces[f0:f1], edges.rows[e0:e1].astype(np.int64)
         rows[:, 2:] = np.where(rows[:, 2:] == NO_INDEX, NO_INDEX, rows[:, 2:] - f0)
@@ -141,15 +138,15 @@ def test_both_volumes_tell_shadow_as_brute_force_does(built: Built, is_long: boo
         truth = reference.volume_count(mesh.positions, faces, side, light, x)
         robust = reference.robust_count(mesh.positions, faces, rows, side, light, x, ray)
         sure = truth.is_decidable & robust.is_decidable
-        assert np.array_equal(truth.count[sure], robust.count[sure])
+        assert np.array_equal(truth.value[sure], robust.value[sure])
         if closed_volume_allowed(components, bounds, light)[chosen]:
             closed = reference.closed_count(mesh.positions, faces, rows, side, light, x, ray)
             both = truth.is_decidable & closed.is_decidable
-            assert (closed.count[both] >= 0).all()
-            assert np.array_equal(truth.count[both] > 0, closed.count[both] > 0)
+            assert (closed.value[both] >= 0).all()
+            assert np.array_equal(truth.value[both] > 0, closed.value[both] > 0)
             by_closed += int(both.sum())
         tested += int(sure.sum())
-        shaded += int((truth.count[sure] > 0).sum())
+        shaded += int((truth.value[sure] > 0).sum())
     assert tested >= min(20, wanted), "too few points were beyond doubt to mean anything"
 
 

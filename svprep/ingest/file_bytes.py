@@ -1,0 +1,111 @@
+"""A model file as bytes: read in parallel, unpacked if it ends in .gz, with its digest.
+
+Every way in which that can fail is one `InputError`.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import os
+import stat
+import zlib
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from svprep.errors import InputError
+from svprep.model import U8
+
+_BLOCK_BYTES = 8 << 20
+
+
+@contextmanager
+def _file_errors(path: Path) -> Iterator[None]:
+    """Turn what the system says about a file into one line."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file.") from None
+    except (IsADirectoryError, NotADirectoryError):
+        raise InputError(
+            f"{path}: this is a folder, or leads through a file; name a model file."
+        ) from None
+    except PermissionError:
+        raise InputError(f"{path}: no permission to read this file.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}.") from None
+
+
+def check_file(path: Path) -> int:
+    """Return the size of a file on disk; raise `InputError` if it cannot be a model."""
+    with _file_errors(path):
+        status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise InputError(f"{path}: this is a folder; name the model files in it.")
+    if stat.S_ISREG(status.st_mode) and status.st_size == 0:
+        raise InputError(f"{path}: the file is empty.")
+    return status.st_size
+
+
+def read_file(path: Path, pool: Executor) -> tuple[U8, Future[str]]:
+    """Read a file.
+
+    Returns
+    -------
+    data : (n_bytes + 1,) uint8
+        The file's bytes, and a line feed that the OBJ parser needs. Of a ``.gz`` file, the
+        bytes that it unpacks to.
+    sha256 : Future[str]
+        Of the bytes on disk, computed by `pool` in the meantime.
+    """
+    with _file_errors(path), path.open("rb", buffering=0) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size <= _BLOCK_BYTES or not hasattr(os, "preadv"):  # size 0: perhaps a pipe
+            data = _with_line_feed(file.readall())
+        else:
+            data = np.empty(size + 1, np.uint8)
+            data[size] = 0x0A
+            starts = range(0, size, _BLOCK_BYTES)
+            list(pool.map(lambda start: _read_block(file.fileno(), data, start), starts))
+    if data.size == 1:
+        raise InputError(f"{path}: the file is empty.")
+    on_disk = data[:-1]
+    sha256 = pool.submit(lambda: hashlib.sha256(on_disk.data).hexdigest())
+    if path.suffix.lower() == ".gz":
+        data = _unpack(path, on_disk)
+    return data, sha256
+
+
+def _read_block(descriptor: int, data: U8, start: int) -> None:
+    """Fill one block of `data` from the file."""
+    block = data.data[start : min(start + _BLOCK_BYTES, data.size - 1)]
+    offset = start
+    while block:
+        n = os.preadv(descriptor, [block], offset)
+        if n == 0:
+            raise OSError("it became shorter while it was read")
+        block, offset = block[n:], offset + n
+
+
+def _unpack(path: Path, packed: U8) -> U8:
+    """Return the bytes of a gzip file, and a line feed."""
+    try:
+        text = gzip.decompress(packed.data)
+    except EOFError:
+        raise InputError(
+            f"{path}: the gzip file is cut off; it is incomplete. Copy or download it again."
+        ) from None
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(f"{path}: not a readable gzip file ({error}).") from None
+    if not text:
+        raise InputError(f"{path}: the file is empty once unpacked.")
+    return _with_line_feed(text)
+
+
+def _with_line_feed(text: bytes) -> U8:
+    """Return bytes as a writable array (the only kind that kernels are compiled for)."""
+    return np.frombuffer(bytearray(text) + b"\n", np.uint8)

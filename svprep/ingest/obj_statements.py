@@ -1,0 +1,126 @@
+"""What an OBJ file says besides shapes: the names of objects, and what was left out.
+
+The rule by which names make objects stands in `svprep.ingest.obj`.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from svprep.errors import first_few
+from svprep.ingest.parsed import count_of
+from svprep.model import I64, U8
+
+_ELEMENTS = {
+    "p": ("point element", "point elements"),
+    "l": ("line element", "line elements"),
+    "curv": ("curve", "curves"),
+    "curv2": ("2D curve", "2D curves"),
+    "surf": ("free-form surface", "free-form surfaces"),
+}
+# Appearance and grouping, and what belongs to a free-form element.
+_SILENT = frozenset(
+    [
+        "usemtl",
+        "mtllib",
+        "usemap",
+        "maplib",
+        "mg",
+        "bevel",
+        "c_interp",
+        "d_interp",
+        "lod",
+        "shadow_obj",
+        "trace_obj",
+        "ctech",
+        "stech",
+        "cstype",
+        "deg",
+        "bmat",
+        "step",
+        "parm",
+        "trim",
+        "hole",
+        "scrv",
+        "sp",
+        "end",
+        "con",
+    ]
+)
+_CONTINUATION = re.compile(rb"\\[ \t\v\f]*(?:\r\n|\n|\r)")
+
+
+def decode(text: bytes) -> str:
+    """Return UTF-8, or Latin-1 where it is none."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def _name(data: U8, begin: int, end: int) -> str:
+    """Return the text of an ``o`` or ``g`` statement with single blanks."""
+    text = _CONTINUATION.sub(b" ", data[begin:end].tobytes())
+    return " ".join(decode(text).split()) or "default"
+
+
+def objects_of(
+    data: U8, statements: I64, n_polygons: int, stem: str
+) -> tuple[tuple[str, ...], I64, list[str]]:
+    """Return the objects' names, the object of each polygon, and what is to be noted."""
+    keys = statements[:, 0]
+    rows = {
+        key: [
+            (_name(data, begin, end), polygon)
+            for _, begin, end, polygon, _ in statements[keys == ord(key)].tolist()
+        ]
+        for key in "og"
+    }
+    if len({name for name, _ in rows["o"]}) >= 2:
+        used, before = rows["o"], stem
+    elif rows["g"]:
+        used, before = rows["g"], "default"
+    else:
+        used, before = [], stem
+    starts = [0, *(polygon for _, polygon in used), n_polygons]
+    names: dict[str, int] = {}
+    objects = []
+    for i, name in enumerate([before, *(name for name, _ in used)]):
+        is_empty = starts[i] == starts[i + 1]
+        objects.append(-1 if is_empty else names.setdefault(name, len(names)))
+    empty = list(dict.fromkeys(name for name, _ in used if name not in names))
+    notes = []
+    if empty:
+        listed = first_few([f'"{name}"' for name in empty])
+        notes.append(f"{count_of(len(empty), 'object')} without faces left out: {listed}")
+    return tuple(names), np.repeat(objects, np.diff(starts)), notes
+
+
+def keyword_notes(data: U8, statements: I64) -> list[str]:
+    """Say which elements are no surfaces, and which keywords OBJ does not have."""
+    _, first, counts = np.unique(statements[:, 0], return_index=True, return_counts=True)
+    notes, unknown = [], []
+    for row, n in sorted(zip(first.tolist(), counts.tolist(), strict=True)):
+        key, begin, end, _, line = statements[row].tolist()
+        keyword = decode(data[begin:end].tobytes())
+        if key in (ord("o"), ord("g")) or keyword in _SILENT:
+            continue
+        if keyword in _ELEMENTS:
+            if keyword == "surf":
+                reason = "is not read and was" if n == 1 else "are not read and were"
+            else:
+                reason = "is not a surface and was" if n == 1 else "are not surfaces and were"
+            notes.append(f"{count_of(n, *_ELEMENTS[keyword])} {reason} left out")
+        else:
+            shown = keyword if len(keyword) <= 40 else keyword[:37] + "..."
+            unknown.append((n, f'"{shown}" (line {line})'))
+    if unknown:
+        total = sum(n for n, _ in unknown)
+        listed = first_few([shown for _, shown in unknown])
+        notes.append(
+            f"{count_of(total, 'statement')} with a keyword that OBJ does not have left out: "
+            f"{listed}"
+        )
+    return notes

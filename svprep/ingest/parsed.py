@@ -1,0 +1,88 @@
+"""What one reader makes of one file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from svprep.errors import InputError
+from svprep.model import F64, I64, U32, FaceFindings
+
+Report = Callable[[float], None]
+"""Told the fraction of a file that is read, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParsedFile:
+    """`svprep.model.SourceMesh` of a single file; its fields have the same meaning."""
+
+    positions: F64
+    faces: U32
+    object_face_start: I64
+    source_face: U32
+    object_names: tuple[str, ...]
+    face_findings: FaceFindings
+    notes: tuple[str, ...]
+    """Without the file's name."""
+
+
+def no_findings() -> FaceFindings:
+    """Return an empty list of findings."""
+    return FaceFindings(np.empty(0, np.uint16), np.empty(0, np.uint32), np.empty(0, np.uint32))
+
+
+def count_of(n: int, singular: str, plural: str = "") -> str:
+    """Return ``"1 face"``, ``"12 faces"``."""
+    return f"{n} {singular}" if n == 1 else f"{n} {plural or singular + 's'}"
+
+
+def refuse_non_finite(positions: F64, path: Path, what: str) -> None:
+    """Raise `InputError` at the first vertex that is not finite."""
+    is_bad = ~np.isfinite(positions).all(axis=1)
+    if is_bad.any():
+        vertex = int(np.argmax(is_bad))
+        shown = ", ".join(f"{c:g}" for c in positions[vertex])
+        raise InputError(
+            f"{path}: {what}: vertex {vertex} is ({shown}), not a finite position "
+            f"({count_of(int(is_bad.sum()), 'such vertex', 'such vertices')}); remove or repair it."
+        )
+
+
+def polygons_as_object(
+    positions: F64,
+    corners: U32,
+    polygon_start: I64,
+    path: Path,
+    name: str,
+    notes: Sequence[str] = (),
+) -> ParsedFile:
+    """Triangulate polygons and return them as one object.
+
+    Raises
+    ------
+    InputError
+        If none of them is a surface.
+    """
+    from svprep.ingest.triangulation import triangulate
+
+    faces, source_face, finding = triangulate(positions, corners, polygon_start)
+    if len(faces) == 0:
+        raise InputError(
+            f"{path}: no face with three different corners, so nothing that casts a shadow."
+        )
+    found = np.flatnonzero(finding)
+    findings = FaceFindings(
+        finding[found], np.zeros(found.size, np.uint32), found.astype(np.uint32)
+    )
+    return ParsedFile(
+        positions,
+        np.ascontiguousarray(faces),
+        np.array([0, len(faces)], np.int64),
+        source_face,
+        (name,),
+        findings,
+        tuple(notes),
+    )

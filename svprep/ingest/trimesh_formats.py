@@ -1,0 +1,160 @@
+"""PLY and STL, decoded by trimesh.
+
+Only its decoders are used, not its meshes: nothing is merged, triangulated or dropped by
+it. What they leave unchecked (indices, cut-off text, numbers that are none) is checked
+here, and whatever they raise becomes one line.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svprep.errors import InputError
+from svprep.ingest.parsed import (
+    ParsedFile,
+    count_of,
+    no_findings,
+    polygons_as_object,
+    refuse_non_finite,
+)
+from svprep.model import U8
+
+_STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
+
+
+def read_ply(data: U8, path: Path, stem: str) -> ParsedFile:
+    """Read a PLY file, ASCII or binary: one object with all its polygons.
+
+    Raises
+    ------
+    InputError
+        Also for a binary file whose polygons have different sizes, which trimesh cannot
+        decode.
+    """
+    from trimesh.exchange.ply import load_ply
+
+    kwargs = _decoded(load_ply, "PLY", data[:-1], path, fix_texture=False, skip_materials=True)
+    elements = kwargs["metadata"]["_ply_raw"]
+    announced = {name: int(element["length"]) for name, element in elements.items()}
+    if not announced.get("face") or not announced.get("vertex"):
+        found = ", ".join(f"{n} {name}" for name, n in announced.items() if n) or "nothing"
+        raise InputError(f"{path}: no faces in this PLY file ({found}), so no shadow.")
+    positions = np.ascontiguousarray(kwargs["vertices"], np.float64)
+    rings = _ply_rings(elements["face"].get("data"), path)
+    if len(positions) != announced["vertex"] or len(rings) != announced["face"]:
+        raise InputError(
+            f"{path}: cut off: {announced['vertex']} vertices and {announced['face']} faces "
+            f"announced, {len(positions)} and {len(rings)} found."
+        )
+    refuse_non_finite(positions, path, f'object "{stem}"')
+    sizes = [len(ring) for ring in rings]
+    corners = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
+    is_bad = ~((corners >= 0) & (corners < len(positions)))
+    if is_bad.any():
+        raise InputError(
+            f"{path}: face {np.searchsorted(np.cumsum(sizes), np.argmax(is_bad), 'right')} refers "
+            f"to vertex {corners[is_bad][0]:g}; PLY counts from 0 to {len(positions) - 1} here."
+        )
+    notes = [
+        f"{count_of(n, f'{name} element')} not read"
+        for name, n in announced.items()
+        if n and name not in ("vertex", "face")
+    ]
+    start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    return polygons_as_object(positions, corners.astype(np.uint32), start, path, stem, notes)
+
+
+def _ply_rings(data: Any, path: Path) -> Any:
+    """Return the corners of each polygon: rows of an array, or a list of arrays."""
+    names = ("vertex_indices", "vertex_index")
+    if isinstance(data, dict):
+        found = [data[name] for name in names if name in data]
+        return np.atleast_2d(found[0]) if found and found[0].dtype != object else (found or [[]])[0]
+    if isinstance(data, np.ndarray) and data.dtype.names:
+        fields = data.dtype.names
+        name = next((name for name in names if name in fields), fields[0])
+        sizes, rings = data[name]["f0"], data[name]["f1"].reshape(len(data), -1)
+        if (sizes != rings.shape[1]).any():
+            raise InputError(
+                f"{path}: a binary PLY file with faces of different sizes, which is not read; "
+                "triangulate it or save it as ASCII PLY."
+            )
+        return rings
+    return []
+
+
+def read_stl(data: U8, path: Path, stem: str) -> ParsedFile:
+    """Read an STL file, binary or ASCII: one object per solid.
+
+    Raises
+    ------
+    InputError
+        Also where a count in the file and what is in it disagree.
+    """
+    from trimesh.exchange.stl import load_stl
+
+    text = data[:-1].tobytes()
+    is_ascii = text[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in text[:512]
+    n_announced = 0
+    if is_ascii:
+        n_announced = len(re.findall(rb"\bouter\s+loop\b", text, re.IGNORECASE))
+    elif len(text) >= _STL_HEADER_BYTES:
+        (n_announced,) = struct.unpack_from("<I", text, 80)
+        n_bytes = _STL_HEADER_BYTES + _STL_TRIANGLE_BYTES * n_announced
+        if n_bytes != len(text):
+            raise InputError(
+                f"{path}: damaged or cut off: a binary STL file of {n_announced} triangles has "
+                f"{n_bytes} bytes, this one has {len(text)}."
+            )
+    else:
+        raise InputError(f"{path}: not an STL file: too short for one ({len(text)} bytes).")
+    if n_announced == 0:
+        raise InputError(f"{path}: no triangles in this STL file.")
+    kwargs = _decoded(load_stl, "STL", data[:-1], path)
+    solids = kwargs.get("geometry", {stem: kwargs})
+    points = [np.asarray(solid["vertices"], np.float64) for solid in solids.values()]
+    names = list(solids)
+    if len(solids) == 1 and (name := kwargs.get("metadata", {}).get("name")):
+        names = [str(name)]
+    n_found = sum(len(p) for p in points) // 3
+    if n_found != n_announced:
+        raise InputError(
+            f'{path}: damaged or cut off: {n_announced} "outer loop", but {n_found} whole '
+            'triangles between "solid" and "endsolid".'
+        )
+    for name, solid_points in zip(names, points, strict=True):
+        refuse_non_finite(solid_points, path, f'object "{name}"')
+    return ParsedFile(
+        np.concatenate(points),
+        np.arange(3 * n_found, dtype=np.uint32).reshape(-1, 3),
+        np.concatenate([[0], np.cumsum([len(p) // 3 for p in points])]).astype(np.int64),
+        np.arange(n_found, dtype=np.uint32),
+        tuple(names),
+        no_findings(),
+        (),
+    )
+
+
+def _decoded(load: Any, kind: str, data: U8, path: Path, **options: Any) -> dict[str, Any]:
+    """Return what a decoder of trimesh makes of the bytes.
+
+    NumPy only warns of text that is no number, and stops reading there: here it raises.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", message="string or file could not be read")
+            return load(io.BytesIO(data.tobytes()), **options)
+    except Exception as error:
+        detail = (str(error).splitlines() or [""])[0][:120] or type(error).__name__
+        hint = ", or a binary PLY file with faces of different sizes" if "length" in detail else ""
+        raise InputError(
+            f"{path}: damaged, cut off or not {kind}{hint} (trimesh: {detail})."
+        ) from None

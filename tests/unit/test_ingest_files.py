@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import gzip
+import os
+from pathlib import Path
+
+import pytest
+
+from svprep.errors import InputError
+from svprep.ingest import read
+
+TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
+
+
+def test_several_files(tmp_path):
+    one, two = tmp_path / "one.obj", tmp_path / "two.obj"
+    one.write_bytes(TRIANGLE + b"l 1 2\n")
+    two.write_bytes(b"g one\n" + TRIANGLE + b"f 1 2\n")
+    mesh = read([one, str(two)])
+    assert mesh.object_names == ("one", "one")
+    assert mesh.object_source.tolist() == [0, 1]
+    assert mesh.faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert mesh.source_face.tolist() == [0, 0]
+    assert mesh.object_face_start.tolist() == [0, 1, 2]
+    assert mesh.face_findings.object_index.tolist() == [1]
+    assert [source.path for source in mesh.sources] == [str(one), str(two)]
+    assert mesh.notes == (f"{one}: 1 line element is not a surface and was left out",)
+
+
+def test_progress_ends_at_the_total(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_bytes(TRIANGLE)
+    told = []
+    read([path, path], lambda done, total: told.append((done, total)))
+    total = 2 * len(TRIANGLE)
+    assert told[-1] == (total, total)
+    assert told == sorted(told)
+
+
+def refusal(path) -> str:
+    with pytest.raises(InputError) as raised:
+        read([path])
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def test_no_file():
+    with pytest.raises(InputError, match="No input file"):
+        read([])
+
+
+def test_missing_file(tmp_path):
+    assert refusal(tmp_path / "no.obj") == f"{tmp_path / 'no.obj'}: there is no such file."
+
+
+@pytest.mark.parametrize("name", ["city", "city.obj"])
+def test_a_folder(tmp_path, name):
+    (tmp_path / name).mkdir()
+    assert "this is a folder" in refusal(tmp_path / name)
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="not run: root may read every file"
+)
+def test_no_permission(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_bytes(TRIANGLE)
+    path.chmod(0)
+    assert "no permission" in refusal(path)
+
+
+def test_no_permission_as_told_by_the_system(tmp_path, monkeypatch):
+    path = tmp_path / "a.obj"
+    path.write_bytes(TRIANGLE)
+
+    def deny(*args, **kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", deny)
+    assert refusal(path) == f"{path}: no permission to read this file."
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("a.city.json", "CityJSON (.json) is not read yet"),
+        ("a.gml", "CityGML (.gml) is not read yet"),
+        ("a.xml.gz", "CityGML (.xml) is not read yet"),
+        ("a.poly", "TetGen polyhedra (.poly) is not read yet"),
+        ("a.fbx", 'no reader for the suffix ".fbx"'),
+        ("a", "no suffix"),
+    ],
+)
+def test_unknown_suffixes(tmp_path, name, problem):
+    message = refusal(tmp_path / name)
+    assert problem in message
+    assert "Known: .obj, .ply, .stl, .off, .glb, .gltf" in message
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (gzip.compress(TRIANGLE * 100)[:-20], "cut off"),
+        (b"not gzip at all", "not a readable gzip file"),
+        (gzip.compress(TRIANGLE)[:-8] + b"12345678", "not a readable gzip file"),
+        (gzip.compress(b""), "empty once unpacked"),
+        (b"", "the file is empty"),
+    ],
+)
+def test_damaged_gzip(tmp_path, content, problem):
+    path = tmp_path / "a.obj.gz"
+    path.write_bytes(content)
+    assert problem in refusal(path)
