@@ -24,7 +24,7 @@ def test_several_files(tmp_path):
     assert mesh.object_face_start.tolist() == [0, 1, 2]
     assert mesh.face_findings.object_index.tolist() == [1]
     assert [source.path for source in mesh.sources] == [str(one), str(two)]
-    assert mesh.notes == (f"{one}: 1 line element is not a surface and was left out",)
+    assert mesh.notes == (f"{one.name}: 1 line element is not a surface and was left out",)
 
 
 def test_progress_ends_at_the_total(tmp_path):

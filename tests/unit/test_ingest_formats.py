@@ -249,7 +249,7 @@ def test_gltf_is_turned_to_z_up(tmp_path):
     assert mesh.positions.tolist() == [[1, -3, 2], [4, -6, 5], [7, 0, 8]]
     assert mesh.faces.tolist() == [[0, 1, 2]]
     assert mesh.object_names == ("M",)
-    assert mesh.notes == (f"{path}: y up was turned to z up: (x, y, z) -> (x, -z, y)",)
+    assert mesh.notes == (f"{path.name}: y up was turned to z up: (x, y, z) -> (x, -z, y)",)
 
 
 def test_gltf_instances_and_transforms(tmp_path):

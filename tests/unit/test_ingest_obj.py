@@ -166,11 +166,11 @@ def test_notes(write):
     text += "f 1 2 3\nmagic 1\nmagic 2\nfoo\no A\no B\n"
     path = write(text)
     assert read([path]).notes == (
-        f"{path}: 2 line elements are not surfaces and were left out",
-        f"{path}: 1 point element is not a surface and was left out",
-        f"{path}: 3 statements with a keyword that OBJ does not have left out: "
+        f"{path.name}: 2 line elements are not surfaces and were left out",
+        f"{path.name}: 1 point element is not a surface and was left out",
+        f"{path.name}: 3 statements with a keyword that OBJ does not have left out: "
         '"magic" (line 15), "foo" (line 17)',
-        f'{path}: 2 objects without faces left out: "A", "B"',
+        f'{path.name}: 2 objects without faces left out: "A", "B"',
     )
 
 
