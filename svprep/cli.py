@@ -186,7 +186,10 @@ def run(arguments: list[str] | None = None) -> int:
             args=arguments, prog_name="svprep", standalone_mode=False
         )
         sys.stdout.flush()
-        return result if isinstance(result, int) else 0
+        status = result if isinstance(result, int) else 0
+        if status == 130:  # Typer's own answer to Ctrl-C, without a word
+            print("svprep: interrupted", file=sys.stderr)
+        return status
     except typer.Exit as stop:
         return stop.exit_code
     except (typer.Abort, KeyboardInterrupt):

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def first_equal_row(rows, group_start, group_begin, group_end, first):
     """Write to ``first[i]`` the lowest row of i's group that equals row i.
 
@@ -55,13 +55,15 @@ def first_equal_row(rows, group_start, group_begin, group_end, first):
                 slot = (slot + 1) & np.int64(mask)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def count_distinct_per_group(values, group_start, n_values, counts):
     """Write to ``counts[g]`` how many different values group g holds.
 
     ``values (n,) uint32``, each below `n_values`. O(n + n_values).
     """
-    stamp = np.full(n_values, -1, np.int32)
+    stamp = np.empty(n_values, np.int32)
+    for v in range(n_values):
+        stamp[v] = -1
     for g in range(len(group_start) - 1):
         n = 0
         for i in range(group_start[g], group_start[g + 1]):
@@ -72,7 +74,7 @@ def count_distinct_per_group(values, group_start, n_values, counts):
         counts[g] = n
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def counting_order(keys, n_keys, order, key_start):
     """Write the stable order that sorts `keys`, and where each key's run begins.
 

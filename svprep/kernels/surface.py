@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def face_normals(grid_positions, faces, normals):
     """Write ``n = (b - a) x (c - a)`` of every face, exact, in steps squared.
 
@@ -34,7 +34,7 @@ def face_normals(grid_positions, faces, normals):
         normals[f, 2] = ux * wy - uy * wx
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def component_volumes(grid_positions, faces, normals, flips, component, reference, volume, scale):
     """Add up six times the signed volume of each component, and its scale.
 
@@ -55,7 +55,7 @@ def component_volumes(grid_positions, faces, normals, flips, component, referenc
         scale[i] += math.sqrt((x * x + y * y + z * z) * (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def shape_hashes(grid_positions, faces, face_start, hashes):
     """Write 32 bits per face that depend on its shape and place, not its number.
 
@@ -64,11 +64,14 @@ def shape_hashes(grid_positions, faces, face_start, hashes):
     the distance to the axis of its bounding box. The lower 12 bits tell apart
     what is left, by position within the box.
     """
+    low = np.empty(3, np.int64)
+    high = np.empty(3, np.int64)
     for i in range(len(face_start) - 1):
         if face_start[i] == face_start[i + 1]:
             continue
-        low = np.full(3, 1 << 40, np.int64)
-        high = np.full(3, -(1 << 40), np.int64)
+        for axis in range(3):
+            low[axis] = grid_positions[faces[face_start[i], 0], axis]
+            high[axis] = low[axis]
         for f in range(face_start[i], face_start[i + 1]):
             for c in range(3):
                 for axis in range(3):
@@ -94,7 +97,7 @@ def shape_hashes(grid_positions, faces, face_start, hashes):
             )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def grow_planes(grid_positions, faces, normals, mate, seeds, tolerance_steps, seed_of_face):
     """Give every face the seed whose plane it shares.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from numba import njit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def union_with_parity(a, b, differ, parent, parity, conflict):
     """Join ``a[e]`` and ``b[e]``, equal or (``differ[e]``) opposite, in order.
 

@@ -1,0 +1,254 @@
+"""The command line: what it prints where, and the exit status it leaves with."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import pytest
+
+from svprep import cli, pipeline
+from svprep.defects import Code
+from svprep.errors import InternalError
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFORMANCE = ROOT / "data" / "conformance"
+CITY = ROOT / "data" / "small_city.obj.gz"
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def svprep(*arguments: str, **options) -> subprocess.CompletedProcess:
+    """Run the command line in a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "svprep", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, check=False, **options
+    )
+
+
+def test_build_info_validate(capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["build", str(CONFORMANCE / "open_shell.obj")]) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    assert "D302 OPEN_SHELL" in out
+    assert Path("open_shell.svp.h5").is_file()
+    assert cli.run(["info", "open_shell.svp.h5"]) == 0
+    assert "mesh/face_corners" in capfd.readouterr().out
+    assert cli.run(["validate", "open_shell.svp.h5"]) == 0
+    assert capfd.readouterr().out.endswith("valid\n")
+
+
+def test_json_is_one_object_and_nothing_else(capfd: pytest.CaptureFixture[str]) -> None:
+    model = str(CONFORMANCE / "clean_cube.obj")
+    assert cli.run(["build", model, "-o", "a.svp.h5", "--json"]) == 0
+    out, err = capfd.readouterr()
+    built = json.loads(out)
+    assert err == ""
+    assert (built["faces"], built["solid"], built["defects"]) == (12, 1, {})
+    assert set(built["seconds"]) == set(pipeline.STAGES)
+    assert cli.run(["info", "a.svp.h5", "--json"]) == 0
+    told = json.loads(capfd.readouterr().out)
+    assert told["content_digest"] == built["content_digest"]
+    assert told["sources"][0]["path"] == model
+    assert cli.run(["validate", "a.svp.h5", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["valid"] is True
+    assert cli.run(["validate", "--explain", "D302", "--json"]) == 0
+    assert "OPEN_SHELL" in json.loads(capfd.readouterr().out)["text"]
+
+
+def test_damage_is_named_and_ends_in_1(capfd: pytest.CaptureFixture[str]) -> None:
+    cli.run(["build", str(CITY), "-o", "a.svp.h5"])
+    with h5py.File("a.svp.h5") as file:
+        offset = file["mesh/positions"].id.get_offset()
+    whole = bytearray(Path("a.svp.h5").read_bytes())
+    whole[offset] ^= 1
+    Path("a.svp.h5").write_bytes(whole)
+    capfd.readouterr()
+    assert cli.run(["validate", "a.svp.h5"]) == 1
+    out, err = capfd.readouterr()
+    assert "mesh/positions" in out
+    assert "--explain V2" in out
+    assert err == ""
+    assert cli.run(["validate", "a.svp.h5", "--json"]) == 1
+    problems = json.loads(capfd.readouterr().out)["problems"]
+    assert len(problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["frobnicate"], 2, "No such command"),
+        (["build"], 2, "INPUT"),
+        (["build", "--weld-tolerance", "much", "x.obj"], 2, "--weld-tolerance"),
+        (["build", "--weld-tolerance", "-1", "x.obj"], 1, "-1"),
+        (["build", "--weld-tolerance", "nan", "x.obj"], 1, "nan"),
+        (["build", "gone.obj"], 1, "gone.obj"),
+        (["build", "gone.obj", "gone2.obj"], 1, "-o CACHE"),
+        (["build", "gone.obj", "--report", "r.txt"], 1, ".json or .csv"),
+        (["info"], 2, "CACHE"),
+        (["info", "gone.svp.h5"], 1, "gone.svp.h5"),
+        (["info", "model.obj"], 1, "svprep build model.obj"),
+        (["validate"], 2, "--explain"),
+        (["validate", "city.glb"], 1, "svprep build city.glb"),
+        (["validate", "--explain", "D999"], 1, "D101"),
+        (["validate", "--explain", ""], 1, "D101"),
+    ],
+)
+def test_one_line_on_standard_error(
+    arguments: list[str], status: int, says: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run(arguments) == status
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert says in err
+    assert err.count("\n") == 1
+
+
+def test_every_code_is_explained(capfd: pytest.CaptureFixture[str]) -> None:
+    from svprep.cache.checks import CHECKS
+    from svprep.validate import DEEP_CHECKS
+
+    codes = [f"D{int(c)}" for c in Code] + [*CHECKS, *DEEP_CHECKS]
+    assert len(codes) == len(set(codes))
+    for code in codes:
+        assert cli.run(["validate", "--explain", code]) == 0
+        assert capfd.readouterr().out.startswith(code)
+
+
+def test_our_bug_ends_in_70_and_says_where_the_log_is(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def fail(*_args: object) -> None:
+        raise ZeroDivisionError("one by none")
+
+    monkeypatch.setattr(pipeline, "build", fail)
+    assert cli.run(["build", "x.obj"]) == 70
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1
+    log = Path(err.rsplit("log: ", 1)[1].strip())
+    assert "one by none" in log.read_text()
+
+    def break_invariant(*_args: object) -> None:
+        raise InternalError("an edge has no face")
+
+    monkeypatch.setattr(pipeline, "build", break_invariant)
+    assert cli.run(["build", "x.obj"]) == 70
+    assert "an edge has no face" in capfd.readouterr().err
+
+
+def test_interrupted_ends_in_130_and_leaves_the_older_cache(tmp_path: Path) -> None:
+    model = str(CONFORMANCE / "clean_cube.obj")
+    assert svprep("build", model, "-o", "a.svp.h5").returncode == 0
+    before = Path("a.svp.h5").read_bytes()
+    slow = (
+        "import os, signal, threading\n"
+        "from svprep import cli, pipeline\n"
+        "def weld(*args):\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    threading.Event().wait(10)\n"
+        "pipeline.weld = weld\n"
+        f"raise SystemExit(cli.run(['build', {model!r}, '-o', 'a.svp.h5']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", slow],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 130
+    assert done.stderr == "svprep: interrupted\n"
+    assert Path("a.svp.h5").read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.svp.h5"]
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    assert cli.run(["build", str(CONFORMANCE / "clean_cube.obj"), "-o", "a.svp.h5"]) == 0
+    process = subprocess.Popen(
+        [sys.executable, "-m", "svprep", "info", "a.svp.h5"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGPIPE, signal.SIG_DFL),
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    errors = process.stderr.read()
+    process.stderr.close()
+    process.wait()
+    assert b"Traceback" not in errors
+    assert b"bug" not in errors
+
+
+def test_progress_shows_on_a_terminal_only() -> None:
+    model = str(CONFORMANCE / "clean_cube.obj")
+    quiet = svprep("build", model, "-o", "a.svp.h5", "--json")
+    assert quiet.stderr == ""
+    leader, follower = pty.openpty()
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "svprep", "build", model, "-o", "a.svp.h5", "--json"],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm"},
+        stdout=subprocess.PIPE,
+        stderr=follower,
+    )
+    out, _ = shown.communicate()
+    os.close(follower)
+    told = os.read(leader, 100_000)
+    os.close(leader)
+    assert json.loads(out)["faces"] == 12
+    assert b"\x1b[" in told
+
+
+def test_version_and_bare_call() -> None:
+    assert svprep("--version").stdout.startswith("svprep ")
+    bare = svprep()
+    assert "build" in bare.stdout + bare.stderr
+    assert "Traceback" not in bare.stderr
+
+
+def test_reports_list_objects_defects_and_source_faces(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    model = str(CONFORMANCE / "three_faces_on_edge.obj")
+    assert cli.run(["build", model, "--report", "r.json"]) == 0
+    entries = json.loads(Path("r.json").read_text())["objects"]
+    found = {f["defect"]: f for e in entries for f in e["findings"]}
+    assert found["NONMANIFOLD_EDGE"]["count"] == 4
+    faces = found["NONMANIFOLD_EDGE"]["source_faces"]
+    assert faces == sorted(set(faces))
+    assert len(faces) >= 3
+    assert cli.run(["build", str(CITY), "--report", "r.csv"]) == 0
+    with open("r.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len({row["object"] for row in rows}) == 300
+    flipped = [row for row in rows if row["defect"] == "FLIPPED_FACE"]
+    assert sum(int(row["count"]) for row in flipped) == 101
+    for row in rows:
+        if row["defect"] in ("FLIPPED_FACE", "OPEN_SHELL", "DUPLICATE_FACE"):
+            assert row["source_faces"], row
+    clean = [row for row in rows if not row["defect"]]
+    assert clean
+    assert all(row["count"] == "" for row in clean)
+    capfd.readouterr()
+
+
+def test_several_inputs_make_one_cache(capfd: pytest.CaptureFixture[str]) -> None:
+    models = [str(CONFORMANCE / name) for name in ("clean_cube.obj", "clean_tetrahedron.obj")]
+    assert cli.run(["build", *models, "-o", "both.svp.h5", "--json"]) == 0
+    built = json.loads(capfd.readouterr().out)
+    assert (built["objects"], built["faces"], built["solid"]) == (2, 16, 2)
