@@ -85,11 +85,12 @@ def build(
     """Read model files, repair them and write the cache."""
     from svprep import pipeline
     from svprep.report import check_report_path, write_report
+    from svprep.warm import second_compiler
 
     if report is not None:
         check_report_path(report)
     config = pipeline.BuildConfig(weld_tolerance_m=weld_tolerance)
-    with _progress() as tell:
+    with _progress() as tell, second_compiler():
         result = pipeline.build(
             inputs,
             output,

@@ -11,7 +11,7 @@ Deep checks, each against something that does not share its code:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -321,10 +321,15 @@ def _check_solids(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     ]
 
 
+_MESH_ARRAYS = ("positions", "faces", "object_vertex_start", "object_face_start", "source_face")
+
+
 def _check_repair_again(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     """Repair the cached mesh once more: nothing may change."""
     step("repair again", 0, 1)
-    again, report = repair(cache.mesh)
+    # Copies, because Numba would compile every kernel again for read-only arrays.
+    mesh = replace(cache.mesh, **{k: getattr(cache.mesh, k).copy() for k in _MESH_ARRAYS})
+    again, report = repair(mesh)
     planes = build_planes(again, cache.planes.tolerance_m)
     edges, components = build_edges(again, planes)
     changed = {

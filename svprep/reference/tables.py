@@ -111,7 +111,7 @@ def _choose_grid(source: SourceMesh) -> Grid:
     low = [min(p[axis] for p in exact) for axis in range(3)]
     high = [max(p[axis] for p in exact) for axis in range(3)]
     magnitude = max(abs(x) for x in low + high)
-    extent = max(end - begin for begin, end in zip(low, high, strict=True))
+    extent = Fraction(max(float(end - begin) for begin, end in zip(low, high, strict=True)))
     step = Fraction(2) ** _FINEST
     while (
         extent > _MOST_STEPS * step
