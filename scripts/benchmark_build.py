@@ -47,24 +47,30 @@ class Run:
     cpu_s: float
     peak_mb: float
     exit_status: int
+    last_words: str
 
 
 def run(command: list[str], environment: dict[str, str] | None = None) -> Run:
     """Run a command to its end and account for it."""
     begun = time.perf_counter()
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, **(environment or {})},
-    )
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
+    with tempfile.TemporaryFile() as errors:
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            env={**os.environ, **(environment or {})},
+        )
+        _, status, usage = os.wait4(process.pid, 0)
+        wall_s = time.perf_counter() - begun
+        process.returncode = os.waitstatus_to_exitcode(status)
+        errors.seek(0)
+        lines = errors.read().decode(errors="replace").strip().splitlines()
     return Run(
-        wall_s=time.perf_counter() - begun,
+        wall_s=wall_s,
         cpu_s=usage.ru_utime + usage.ru_stime,
         peak_mb=usage.ru_maxrss / 1024,
         exit_status=process.returncode,
+        last_words=lines[-1] if lines else "",
     )
 
 
@@ -146,7 +152,7 @@ def report(runs: dict[str, list[Run]], first: Run, summary: dict, n_bytes: int) 
     ours = [r.wall_s for r in runs["svprep build"]]
     for name, done in runs.items():
         if any(r.exit_status for r in done):
-            print(f"{name:26}  failed with exit status {done[0].exit_status}")
+            print(f"{name:26}  gave up: {done[0].last_words[:90]}")
             continue
         ratios = [r.wall_s / own for r, own in zip(done, ours, strict=True)]
         print(
