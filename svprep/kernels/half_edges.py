@@ -84,7 +84,7 @@ _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfun
 
 
 @_helper
-def _comes_before(i, j, key, opens, third, tie):
+def _comes_before(i, j, key, opens, third, half_edge):
     """Order around an edge: key, closers before openers, third vertex, half-edge."""
     if key[i] != key[j]:
         return key[i] < key[j]
@@ -93,11 +93,11 @@ def _comes_before(i, j, key, opens, third, tie):
     for axis in range(3):
         if third[i, axis] != third[j, axis]:
             return third[i, axis] < third[j, axis]
-    return tie[i] < tie[j]
+    return half_edge[i] < half_edge[j]
 
 
 @_helper
-def _merge_sort(index, scratch, n, key, opens, third, tie):
+def _merge_sort(index, scratch, n, key, opens, third, half_edge):
     """Sort ``index[:n]`` by `_comes_before`, bottom up, O(n log n)."""
     width = 1
     while width < n:
@@ -108,7 +108,8 @@ def _merge_sort(index, scratch, n, key, opens, third, tie):
             j = middle
             for out in range(left, right):
                 if i < middle and (
-                    j >= right or not _comes_before(index[j], index[i], key, opens, third, tie)
+                    j >= right
+                    or not _comes_before(index[j], index[i], key, opens, third, half_edge)
                 ):
                     scratch[out] = index[i]
                     i += 1
@@ -120,33 +121,103 @@ def _merge_sort(index, scratch, n, key, opens, third, tie):
         width *= 2
 
 
+@_helper
+def _match_round(around, n, key, opens, half_edge, mate, kept, stack):
+    """Match openers with closers among ``around[:n]``, sorted round an edge.
+
+    Like parentheses on a circle. Where one kind is in excess, faces inside the
+    material of others are left out first, so that an inner wall, whichever way
+    it is wound, does not take the place of an outer one:
+
+        ( ) )  a run of openers, then of closers: the first closers are inner
+        ( ( )  the last openers are inner
+
+    Unless the outer two are one direction (a sheet drawn from both sides): then
+    nothing lies between them, and one of those is left out first.
+    ``key (n,)`` numbers directions.
+    `kept` and `stack` are scratch (n,).
+    """
+    n_open = 0
+    start = -1
+    for j in range(n):
+        if opens[around[j]]:
+            n_open += 1
+            if start < 0 and not opens[around[j - 1 if j > 0 else n - 1]]:
+                start = j
+    if start < 0:  # all of one kind
+        return
+    excess = 2 * n_open - n
+    n_kept = 0
+    j = 0
+    while j < n:
+        q = 0
+        while j + q < n and opens[around[(start + j + q) % n]]:
+            q += 1
+        r = 0
+        while j + q + r < n and not opens[around[(start + j + q + r) % n]]:
+            r += 1
+        inner_openers = max(0, min(excess, q - r))
+        inner_closers = max(0, min(-excess, r - q))
+        excess += inner_closers - inner_openers
+        one_direction = key[around[(start + j) % n]] == key[around[(start + j + q + r - 1) % n]]
+        outer_opener = 1 if one_direction and inner_openers > 0 else 0
+        outer_closer = 1 if one_direction and inner_closers > 0 else 0
+        for t in range(outer_opener, q + r - outer_closer):
+            if t < q - inner_openers + outer_opener or t >= q + inner_closers - outer_closer:
+                kept[n_kept] = around[(start + j + t) % n]
+                n_kept += 1
+        j += q + r
+    depth = 0
+    for j in range(2 * n_kept):
+        i = kept[j if j < n_kept else j - n_kept]
+        if mate[half_edge[i]] >= 0:
+            continue
+        if opens[i]:
+            if j < n_kept:
+                stack[depth] = i
+                depth += 1
+        elif depth > 0:
+            depth -= 1
+            opener = stack[depth]
+            mate[half_edge[i]] = half_edge[opener]
+            mate[half_edge[opener]] = half_edge[i]
+
+
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def pair_half_edges(grid_positions, faces, flips, order, edge_start, begin, end, most, mate):
+def pair_half_edges(
+    grid_positions, faces, flips, is_loose, order, edge_start, begin, end, most, mate
+):
     """Pair the half-edges of edges ``[begin, end)``; ``mate[h]`` or -1 if single.
 
     Two faces: a pair iff they wind consistently. More: sorted by angle around
     the edge and matched like parentheses, so that each pair bounds a wedge of
     material and touching solids keep their own pairs (Steiner 2006, A.2).
+    *Loose* faces hang on a border somewhere and can close nothing, so the
+    others are matched first, and what is left after that.
 
     Seen along lo -> hi, the outward normal of a forward face points
     counter-clockwise, so its material lies clockwise of it: going round
     counter-clockwise, a backward face opens a wedge and a forward face closes
     it. At equal angles closers go first: there one solid ends and the next
-    begins. Angles come from face normals, which are exact; directions closer
-    than 1e-12 rad count as equal (distinct grid directions that occur in
-    practice lie far apart, and every pairing is right: it only decides which
-    faces form a component).
+    begins. Angles come from face normals, which are exact, and start at the
+    face whose third vertex comes first by position, so that nothing depends on
+    numbering; directions closer than 1e-12 rad count as equal (distinct grid
+    directions that occur in practice lie far apart, and every pairing is
+    right: it only decides which faces form a component).
 
     ``grid_positions (n_vertices, 3) int32``; ``flips (n_faces,) bool``;
-    edge e owns ``order[edge_start[e]:edge_start[e + 1]]``; no edge has more
-    than `most` half-edges; ``mate (3 n_faces,) int32``.
+    ``is_loose (n_faces,) bool``; edge e owns
+    ``order[edge_start[e]:edge_start[e + 1]]``; no edge has more than `most`
+    half-edges; ``mate (3 n_faces,) int32``.
     """
     key = np.empty(most, np.float64)
     opens = np.empty(most, np.bool_)
     third = np.empty((most, 3), np.int32)
-    tie = np.empty(most, np.int32)
+    half_edge = np.empty(most, np.int32)
     index = np.empty(most, np.int32)
+    around = np.empty(most, np.int32)
     scratch = np.empty(most, np.int32)
+    stack = np.empty(most, np.int32)
     normal = np.empty((most, 3), np.float64)
     u = np.empty(3, np.float64)
     w = np.empty(3, np.float64)
@@ -162,14 +233,14 @@ def pair_half_edges(grid_positions, faces, flips, order, edge_start, begin, end,
             f = h // 3
             c = h - 3 * f
             opens[i] = (faces[f, c] < faces[f, c + 1 if c < 2 else 0]) == flips[f]
-            tie[i] = h
+            half_edge[i] = h
         if k == 2:
             if opens[0] != opens[1]:
-                mate[tie[0]] = tie[1]
-                mate[tie[1]] = tie[0]
+                mate[half_edge[0]] = half_edge[1]
+                mate[half_edge[1]] = half_edge[0]
             continue
-        f = tie[0] // 3
-        c = tie[0] - 3 * f
+        f = half_edge[0] // 3
+        c = half_edge[0] - 3 * f
         a = faces[f, c]
         b = faces[f, c + 1 if c < 2 else 0]
         lo = min(a, b)
@@ -179,8 +250,9 @@ def pair_half_edges(grid_positions, faces, flips, order, edge_start, begin, end,
             u[axis] = np.float64(grid_positions[hi, axis]) - np.float64(grid_positions[lo, axis])
             length += u[axis] * u[axis]
         length = math.sqrt(length)
+        first = 0
         for i in range(k):
-            h = tie[i]
+            h = half_edge[i]
             apex = faces[h // 3, (h % 3 + 2) % 3]
             for axis in range(3):
                 third[i, axis] = grid_positions[apex, axis]
@@ -188,7 +260,12 @@ def pair_half_edges(grid_positions, faces, flips, order, edge_start, begin, end,
             normal[i, 0] = u[1] * w[2] - u[2] * w[1]
             normal[i, 1] = u[2] * w[0] - u[0] * w[2]
             normal[i, 2] = u[0] * w[1] - u[1] * w[0]
-            p = normal[0]
+            index[i] = i
+            key[i] = 0.0
+            if _comes_before(i, first, key, opens, third, half_edge):
+                first = i
+        p = normal[first]
+        for i in range(k):
             q = normal[i]
             cosine = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
             sine = (
@@ -200,31 +277,25 @@ def pair_half_edges(grid_positions, faces, flips, order, edge_start, begin, end,
             if angle < -_TIE_RAD:
                 angle += 2.0 * math.pi
             key[i] = 0.0 if angle < _TIE_RAD or angle > 2.0 * math.pi - _TIE_RAD else angle
-            index[i] = i
-        _merge_sort(index, scratch, k, key, opens, third, tie)
-        direction = 0.0
-        previous = key[index[0]]
-        for j in range(k):
-            angle = key[index[j]]
-            if angle - previous > _TIE_RAD:
-                direction += 1.0
-            previous = angle
-            key[index[j]] = direction
-        _merge_sort(index, scratch, k, key, opens, third, tie)
-        depth = 0
-        for j in range(2 * k):
-            i = index[j if j < k else j - k]
-            if mate[tie[i]] >= 0:
-                continue
-            if opens[i]:
-                if j < k:
-                    scratch[depth] = i
-                    depth += 1
-            elif depth > 0:
-                depth -= 1
-                opener = scratch[depth]
-                mate[tie[i]] = tie[opener]
-                mate[tie[opener]] = tie[i]
+        for turn in range(2):
+            _merge_sort(index, scratch, k, key, opens, third, half_edge)
+            if turn == 0:  # number the directions, then sort within each
+                direction = 0.0
+                previous = key[index[0]]
+                for j in range(k):
+                    angle = key[index[j]]
+                    if angle - previous > _TIE_RAD:
+                        direction += 1.0
+                    previous = angle
+                    key[index[j]] = direction
+        for turn in range(2):
+            n = 0
+            for j in range(k):
+                h = half_edge[index[j]]
+                if mate[h] < 0 and (turn == 1 or not is_loose[h // 3]):
+                    around[n] = index[j]
+                    n += 1
+            _match_round(around, n, key, opens, half_edge, mate, scratch, stack)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)

@@ -51,15 +51,46 @@ def pair_edges(points: I32, faces: U32, flips: BOOL, groups: EdgeGroups) -> I32:
     Two faces that wind consistently are a pair; two that do not are cut; more
     than two are matched by angle (see `kernels.half_edges.pair_half_edges`,
     after Steiner 2006, A.2). ``flips (n_faces,)`` marks faces to be read turned.
+    Plain twin: `reference.pair_edges`.
     """
+    is_loose = loose_faces(len(faces), groups)
     mate = np.empty(3 * len(faces), np.int32)
     most = int(groups.n_faces_of_edge.max(initial=1))
 
     def work(begin: int, end: int) -> None:
-        pair_half_edges(points, faces, flips, groups.order, groups.start, begin, end, most, mate)
+        pair_half_edges(
+            points, faces, flips, is_loose, groups.order, groups.start, begin, end, most, mate
+        )
 
     for_ranges(groups.start, work)
     return mate
+
+
+def loose_faces(n_faces: int, groups: EdgeGroups) -> BOOL:
+    """Return ``(n_faces,)``: faces that hang on a border edge over edges of two faces.
+
+    They can be part of no closed surface, so where more than two faces meet
+    they must not take a place that another face needs. Only asked there:
+    without such an edge no face is called loose.
+    """
+    size = groups.n_faces_of_edge
+    if not (size > 2).any():
+        return np.zeros(n_faces, bool)
+    doubles = groups.start[:-1][size == 2]
+    a, b = groups.order[doubles] // np.int32(3), groups.order[doubles + 1] // np.int32(3)
+    patch = _join(a, b, n_faces)
+    is_loose = np.zeros(n_faces, bool)
+    is_loose[patch[groups.order[groups.start[:-1][size == 1]] // 3]] = True
+    return is_loose[patch]
+
+
+def _join(a: I32, b: I32, n_faces: int) -> I32:
+    """Return the lowest face that each face hangs together with over pairs (a, b)."""
+    root = np.arange(n_faces, dtype=np.int32)
+    union_with_parity(
+        a, b, np.zeros(len(a), bool), root, np.zeros(n_faces, bool), np.empty(len(a), bool)
+    )
+    return root
 
 
 def connect(mate: I32, n_faces: int) -> tuple[I32, I32]:
@@ -68,15 +99,7 @@ def connect(mate: I32, n_faces: int) -> tuple[I32, I32]:
     Components are numbered by their lowest face, so they stay grouped by object.
     """
     first = np.flatnonzero(mate > np.arange(len(mate), dtype=np.int32)).astype(np.int32)
-    root = np.arange(n_faces, dtype=np.int32)
-    union_with_parity(
-        first // np.int32(3),
-        mate[first] // np.int32(3),
-        np.zeros(len(first), bool),
-        root,
-        np.zeros(n_faces, bool),
-        np.empty(len(first), bool),
-    )
+    root = _join(first // np.int32(3), mate[first] // np.int32(3), n_faces)
     is_root = root == np.arange(n_faces, dtype=np.int32)
     component = (np.cumsum(is_root, dtype=np.int32) - 1)[root].astype(np.int32)
     return component, np.flatnonzero(is_root).astype(np.int32)

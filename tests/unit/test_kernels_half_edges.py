@@ -17,6 +17,7 @@ from svprep.kernels.half_edges import (
     pair_half_edges,
     write_edge_rows,
 )
+from svprep.repair.split import EdgeGroups, loose_faces
 from tests.property.meshes import arrays
 
 
@@ -51,9 +52,10 @@ def pair(points: np.ndarray, faces: np.ndarray, flips: np.ndarray) -> np.ndarray
     mate = np.full(3 * len(faces), -7, np.int32)
     most = int(np.diff(start).max(initial=1))
     points = points.astype(np.int32)
+    loose = loose_faces(len(faces), EdgeGroups(order=order, start=start))
     middle = len(start) // 2  # in two ranges, as threads would
-    pair_half_edges(points, faces, flips, order, start, middle, len(start) - 1, most, mate)
-    pair_half_edges(points, faces, flips, order, start, 0, middle, most, mate)
+    for begin, end in ((middle, len(start) - 1), (0, middle)):
+        pair_half_edges(points, faces, flips, loose, order, start, begin, end, most, mate)
     return mate
 
 
