@@ -7,12 +7,12 @@ messages and progress to standard error; ``--json`` prints one object.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
 import tempfile
 import traceback
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,7 +32,7 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Prepare city meshes for exact shadow volumes, and check what was prepared.",
@@ -65,7 +65,7 @@ def build(
         ),
     ],
     output: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
             "-o", "--output", metavar="CACHE", help="Default: STEM.svp.h5 in the current folder."
         ),
@@ -84,11 +84,15 @@ def build(
 ) -> None:
     """Read model files, repair them and write the cache."""
     from svprep import pipeline
-    from svprep.report import check_report_path, write_report
+    from svprep.report import REPORT_SUFFIXES, check_report_path, write_report
     from svprep.warm import second_compiler
 
+    if not 0.0 <= weld_tolerance < float("inf"):
+        raise typer.BadParameter("--weld-tolerance is a distance in metres, 0 or more")
     if report is not None:
-        check_report_path(report)
+        if report.suffix.lower() not in REPORT_SUFFIXES:
+            raise typer.BadParameter(f"{report}: a report is .json or .csv; name it so")
+        check_report_path(report, [*inputs, output or pipeline.default_cache_path(inputs)])
     config = pipeline.BuildConfig(weld_tolerance_m=weld_tolerance)
     with _progress() as tell, second_compiler():
         result = pipeline.build(
@@ -169,8 +173,9 @@ def validate(
         for line in outcome.checks:
             print(f"checked  {line}")
         for line in checks.problem_lines(outcome):
-            print(line)
-        print("valid" if outcome.is_valid else f"not valid: {len(outcome.problems)} problems")
+            print(f"failed   {line}")
+        n = len(outcome.problems)
+        print("valid" if n == 0 else f"not valid: {n} problem{'' if n == 1 else 's'}")
     if not outcome.is_valid:
         raise typer.Exit(1)
 
@@ -186,35 +191,55 @@ def run(arguments: list[str] | None = None) -> int:
         result = typer.main.get_command(app).main(
             args=arguments, prog_name="svprep", standalone_mode=False
         )
-        sys.stdout.flush()
         status = result if isinstance(result, int) else 0
         if status == 130:  # Typer's own answer to Ctrl-C, without a word
-            print("svprep: interrupted", file=sys.stderr)
+            _complain("interrupted")
+        if sys.stdout is not None:
+            sys.stdout.flush()
         return status
     except typer.Exit as stop:
         return stop.exit_code
+    except SystemExit as stop:
+        # Typer's own answer to a reader that has gone (svprep info | head).
+        return 0 if isinstance(stop.__context__, BrokenPipeError) else int(stop.code or 0)
     except (typer.Abort, KeyboardInterrupt):
-        print("svprep: interrupted", file=sys.stderr)
+        _complain("interrupted")
         return 130
     except _UsageError as usage:
         text = usage.format_message()  # type: ignore[attr-defined]
-        print(f"svprep: {text} (svprep --help lists the options)", file=sys.stderr)
+        _complain(f"{text} (svprep --help lists the options)")
         return 2
     except SvprepError as error:
-        print(f"svprep: {error}", file=sys.stderr)
+        _complain(str(error))
         return error.exit_status
     except BrokenPipeError:
-        # The reader of our output has gone (svprep info | head): nothing is wrong.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The same, met by our own flush.
+        _silence_output()
         return 0
     except MemoryError:
-        print(
-            "svprep: out of memory; close other programs or build parts of the model apart",
-            file=sys.stderr,
-        )
+        _complain("out of memory; close other programs, or build parts of the model apart")
+        return 1
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else "the output cannot be written: "
+        _complain(f"{where}{error.strerror or error}")
+        _silence_output()
         return 1
     except Exception as bug:
         return _report_bug(bug)
+
+
+def _complain(text: str) -> None:
+    """Write one line to standard error, if there is one; control characters are escaped."""
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    if sys.stderr is not None:
+        with contextlib.suppress(OSError):
+            print(f"svprep: {line}", file=sys.stderr)
+
+
+def _silence_output() -> None:
+    """Drop what standard output still holds, so that leaving does not fail on it again."""
+    with contextlib.suppress(OSError, AttributeError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _report_bug(bug: Exception) -> int:
@@ -226,10 +251,7 @@ def _report_bug(bug: Exception) -> int:
             traceback.print_exception(bug, file=log)
     except OSError:
         name = "not written"
-    print(
-        f"svprep: this is a bug in svprep ({type(bug).__name__}: {bug}); log: {name}",
-        file=sys.stderr,
-    )
+    _complain(f"this is a bug in svprep ({type(bug).__name__}: {bug}); log: {name}")
     return 70
 
 
@@ -243,10 +265,10 @@ def _cache_not_model(path: Path) -> Path:
     return path
 
 
-@contextmanager
+@contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress line on standard error while it is a terminal, else nothing."""
-    if not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty():
         yield lambda what, done, of: None
         return
     from rich.console import Console
@@ -268,7 +290,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def _build_summary(result: BuildResult) -> dict[str, Any]:
-    from svprep.report import component_counts, edge_counts, total_counts
+    from svprep.report import component_counts, edge_counts, left_out_faces, total_counts
 
     prepared = result.prepared
     n_in = int(prepared.repair.source_triangles.sum())
@@ -284,6 +306,8 @@ def _build_summary(result: BuildResult) -> dict[str, Any]:
         "edges": edge_counts(prepared.edges),
         **component_counts(prepared.components.flags),
         "grid_step_m": prepared.mesh.grid.step_m,
+        "left_out": len(left_out_faces(prepared)),
+        "turned": len(prepared.repair.flipped_faces),
         "defects": total_counts(prepared),
         "notes": list(prepared.notes),
         "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
@@ -291,7 +315,7 @@ def _build_summary(result: BuildResult) -> dict[str, Any]:
 
 
 def _cache_summary(cache: Cache) -> dict[str, Any]:
-    from svprep.report import component_counts, edge_counts, total_counts
+    from svprep.report import component_counts, edge_counts, left_out_faces, total_counts
 
     prepared = cache.prepared()
     return {
@@ -315,6 +339,8 @@ def _cache_summary(cache: Cache) -> dict[str, Any]:
         "planes": len(prepared.planes.planes),
         "edges": edge_counts(prepared.edges),
         **component_counts(prepared.components.flags),
+        "left_out": len(left_out_faces(prepared)),
+        "turned": len(prepared.repair.flipped_faces),
         "defects": total_counts(prepared),
         "notes": list(prepared.notes),
         "datasets": cache.dataset_sizes(),
@@ -338,6 +364,10 @@ def _print_counts(summary: dict[str, Any]) -> None:
         f"{summary['solid']:,} solid"
     )
     print(f"grid     {summary['grid_step_m']:g} m")
+    print(
+        f"repair   {summary['left_out']:,} faces left out (no area, duplicates, no surface), "
+        f"{summary['turned']:,} turned; no face with area was lost"
+    )
     for label, count in summary["defects"].items():
         print(f"found    {count:>10,}  {label}")
     for note in summary["notes"]:

@@ -54,8 +54,8 @@ DEFECTS: dict[Code, Defect] = {
         Defect(
             Code.DEGENERATE_FACE,
             "face",
-            "A face whose area is zero in the source: a repeated corner, or three corners "
-            "on a line.",
+            "A face whose area is zero in the source: two corners at one position, or three "
+            "corners on a line.",
             "Dropped and listed. It casts nothing. Neighbours that met only through it keep "
             "border edges there.",
         ),
@@ -83,7 +83,8 @@ DEFECTS: dict[Code, Defect] = {
         Defect(
             Code.SHORT_POLYGON,
             "face",
-            "A polygon with fewer than three different corners in the file.",
+            "A polygon with fewer than three different corners in the file; it makes no triangle, "
+            "so it is not among those read.",
             "Not a surface: left out and listed.",
         ),
         Defect(

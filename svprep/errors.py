@@ -8,6 +8,8 @@ family.
 
 from __future__ import annotations
 
+import sys
+
 
 class SvprepError(Exception):
     """Base of every error that svprep raises on purpose."""
@@ -44,5 +46,5 @@ def require_extra(package: str, extra: str, purpose: str) -> EnvironmentProblem:
     """Return the error that names the install command of a missing extra."""
     return EnvironmentProblem(
         f'{purpose} needs the package "{package}", which is not installed. '
-        f"Run: python3 -m pip install 'svprep[{extra}]'"
+        f"Run: {sys.executable or 'python3'} -m pip install 'svprep[{extra}]'"
     )

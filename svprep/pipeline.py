@@ -105,10 +105,12 @@ def prepare(source: SourceMesh, config: BuildConfig, on_stage: StageHook | None 
     stage("weld")
     welded, weld_report = weld(source, config.weld_tolerance_m)
     if len(welded.faces) == 0:
+        blame = "the model's units and coordinates"
+        if config.weld_tolerance_m > 0.0:
+            blame = f"--weld-tolerance ({config.weld_tolerance_m:g} m) first, then {blame}"
         raise InputError(
             f"{source.sources[0].path}: none of its {len(source.faces)} faces has any area "
-            f"on a grid of {welded.grid.step_m:g} m, so nothing can cast a shadow. "
-            f"Check the model's units and coordinates."
+            f"on a grid of {welded.grid.step_m:g} m, so nothing can cast a shadow. Check {blame}."
         )
     stage("repair")
     repaired, repair_report = repair(welded)

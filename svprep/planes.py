@@ -1,15 +1,11 @@
-"""Plane records, shared by connected faces that are coplanar within a tolerance.
-
-Facing is decided once per record and light, by `facing`, and nowhere else.
-"""
+"""Plane records, shared by connected faces that are coplanar within a tolerance."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from svprep.errors import InputError
 from svprep.kernels.surface import face_normals, grow_planes, shape_hashes
-from svprep.model import F32, F64, I32, Grid, Mesh, PlaneTable
+from svprep.model import F64, I32, Grid, Mesh, PlaneTable
 from svprep.repair.grid import grid_coordinates
 from svprep.repair.stage import Repaired
 
@@ -89,29 +85,3 @@ def _records(mesh: Mesh, normals: F64, seeds: I32) -> F64:
     a = mesh.positions[mesh.faces[seeds, 0]].astype(np.float64)
     planes[:, 3] = -(planes[:, 0] * a[:, 0] + planes[:, 1] * a[:, 1] + planes[:, 2] * a[:, 2])
     return planes
-
-
-def facing(planes: F64, light: F32) -> np.ndarray:
-    """Return ``(n_planes,) int8``: +1 facing the light, -1 turned away, 0 edge-on.
-
-    Parameters
-    ----------
-    planes : ndarray
-        ``(n_planes, 4) float64``: records of a `PlaneTable`.
-    light : ndarray
-        ``(4,) float32`` in the cache frame: ``(x, y, z, 1)`` a point light [m],
-        ``(x, y, z, 0)`` a direction towards the light.
-
-    Notes
-    -----
-    ``s = sign(plane . L)`` in float64. This is the only place that decides it.
-    """
-    if light.shape != (4,) or not np.isfinite(light).all() or light[3] not in (0.0, 1.0):
-        raise InputError(
-            f"a light is four finite numbers (x, y, z, 1) or (x, y, z, 0), not {light.tolist()}"
-        )
-    x, y, z, w = light.astype(np.float64)
-    value = planes[:, 0] * x + planes[:, 1] * y + planes[:, 2] * z
-    if w != 0.0:
-        value += planes[:, 3]
-    return np.sign(value).astype(np.int8)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from svprep.defects import DEFECTS, Code
 from svprep.errors import EnvironmentProblem, InputError
 from svprep.model import (
+    I64,
     NO_INDEX,
     U8,
     ComponentFlag,
@@ -26,14 +28,31 @@ from svprep.model import (
     EdgeTable,
     Prepared,
 )
+from svprep.repair.winding import opposite_faces
 
 REPORT_SUFFIXES = (".json", ".csv")
 
 
-def check_report_path(path: Path) -> None:
-    """Raise unless `path` ends in a format that `write_report` knows."""
+FACES_IN_CSV = 1000
+"""A CSV cell lists at most so many source faces: spreadsheets cut longer ones. JSON has all."""
+
+
+def check_report_path(path: Path, others: Sequence[str | PathLike[str]] = ()) -> None:
+    """Raise unless a report can be written to `path` without harming one of `others`.
+
+    Raises
+    ------
+    InputError
+        Another suffix than .json or .csv, or the name of an input or of the cache.
+    EnvironmentProblem
+        There is no such folder.
+    """
     if path.suffix.lower() not in REPORT_SUFFIXES:
         raise InputError(f"{path}: a report is .json or .csv; name it so")
+    if not path.resolve().parent.is_dir():
+        raise EnvironmentProblem(f'{path}: there is no folder "{path.parent}" for the report')
+    if path.resolve() in [Path(other).resolve() for other in others]:
+        raise InputError(f"{path} is an input or the cache itself; name the report otherwise")
 
 
 def write_report(prepared: Prepared, path: Path) -> None:
@@ -41,9 +60,22 @@ def write_report(prepared: Prepared, path: Path) -> None:
     check_report_path(path)
     text = to_json(prepared) if path.suffix.lower() == ".json" else to_csv(prepared)
     try:
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8", errors="surrogateescape")
     except OSError as error:
-        raise EnvironmentProblem(f"{path}: cannot write the report: {error.strerror}") from error
+        raise EnvironmentProblem(
+            f"{path}: the report cannot be written: {error.strerror}. The cache was written"
+        ) from error
+
+
+def left_out_faces(prepared: Prepared) -> I64:
+    """Return the rows of `face_findings` that tell of a face that is not in the mesh."""
+    dropped = (
+        Code.DEGENERATE_FACE,
+        Code.COLLAPSED_FACE,
+        Code.DUPLICATE_FACE,
+        Code.SHORT_POLYGON,
+    )
+    return np.flatnonzero(np.isin(prepared.repair.face_findings.code, dropped))
 
 
 def total_counts(prepared: Prepared) -> dict[str, int]:
@@ -74,42 +106,40 @@ def component_counts(flags: U8) -> dict[str, int]:
 
 
 def to_json(prepared: Prepared) -> str:
-    """Return the report as one JSON object: totals, and an entry per object."""
-    return json.dumps(
-        {
-            "sources": [
-                {"path": s.path, "format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256}
-                for s in prepared.sources
-            ],
-            "config": prepared.config,
-            "notes": list(prepared.notes),
-            "defects": total_counts(prepared),
-            "objects": list(_object_entries(prepared)),
-        },
-        indent=1,
-        ensure_ascii=False,
-    )
+    """Return the report as one JSON object: totals, and a line per object."""
+    head = {
+        "sources": [
+            {"path": s.path, "format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256}
+            for s in prepared.sources
+        ],
+        "config": prepared.config,
+        "notes": list(prepared.notes),
+        "defects": total_counts(prepared),
+    }
+    lines = ",\n".join(json.dumps(e, ensure_ascii=False) for e in _object_entries(prepared))
+    text = json.dumps(head, indent=1, ensure_ascii=False).removesuffix("\n}")
+    return f'{text},\n "objects": [\n{lines}\n]\n}}\n'
 
 
 def to_csv(prepared: Prepared) -> str:
     """Return the report as CSV: a row per object and defect, one row per clean object."""
     out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
-    rows.writerow(
-        ("object", "source", "triangles_in", "faces", "components", "closed", "solid")
-        + ("code", "defect", "count", "action", "source_faces")
-    )
+    head = ["object_index", "object", "source", "triangles_in", "faces"]
+    head += ["components", "closed", "solid"]
+    rows.writerow((*head, "code", "defect", "count", "action", "source_faces"))
     for entry in _object_entries(prepared):
-        head = [entry[k] for k in ("object", "source", "triangles_in", "faces")]
-        head += [entry[k] for k in ("components", "closed", "solid")]
-        for found in entry["findings"] or [{}]:
-            code = found.get("code", "")
-            number = int(code[1:]) if code else 0
-            action = DEFECTS[Code(number)].action if code else ""
-            faces = " ".join(map(str, found.get("source_faces", [])))
+        start = [entry[name] for name in head]
+        for found in entry["findings"]:
+            faces = found["source_faces"]
+            listed = " ".join(map(str, faces[:FACES_IN_CSV]))
+            if len(faces) > FACES_IN_CSV:
+                listed += f" ... ({len(faces)}; a .json report lists all)"
             rows.writerow(
-                [*head, code, found.get("defect", ""), found.get("count", ""), action, faces]
+                [*start, *(found[k] for k in ("code", "defect", "count", "action")), listed]
             )
+        if not entry["findings"]:
+            rows.writerow([*start, "", "", "", "", ""])
     return out.getvalue()
 
 
@@ -130,10 +160,12 @@ def _object_entries(prepared: Prepared) -> Iterator[dict[str, Any]]:
                     "code": f"D{int(defect)}",
                     "defect": defect.name,
                     "count": int(repair.defect_counts[i, j]),
+                    "action": DEFECTS[defect].action,
                     "source_faces": face[here][code[here] == defect].tolist(),
                 }
             )
         yield {
+            "object_index": i,
             "object": name,
             "source": prepared.sources[int(prepared.object_source[i])].path,
             "triangles_in": int(repair.source_triangles[i]),
@@ -146,7 +178,7 @@ def _object_entries(prepared: Prepared) -> Iterator[dict[str, Any]]:
 def source_faces_of_defects(prepared: Prepared) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ``(object, code, source face)`` of every defect that has source faces.
 
-    Sorted, each once: dropped and flipped faces, faces at border, cut and
+    Sorted, each once: dropped, flipped and opposite faces, faces at border, cut and
     non-manifold edges, and faces of flat, inverted or self-touching components.
     """
     mesh, edges, components = prepared.mesh, prepared.edges, prepared.components
@@ -154,7 +186,10 @@ def source_faces_of_defects(prepared: Prepared) -> tuple[np.ndarray, np.ndarray,
     owner_of_face = np.repeat(
         np.arange(len(prepared.object_names), dtype=np.uint32), np.diff(mesh.object_face_start)
     )
-    faces_of: dict[Code, np.ndarray] = {Code.FLIPPED_FACE: prepared.repair.flipped_faces}
+    faces_of: dict[Code, np.ndarray] = {
+        Code.FLIPPED_FACE: prepared.repair.flipped_faces,
+        Code.OPPOSITE_FACE: opposite_faces(mesh),
+    }
     kind = edges.flags & np.uint8(EdgeFlag.KIND_MASK)
     split = edges.rows[kind == EdgeKind.SPLIT, 2:].reshape(-1)
     faces_of[Code.NONMANIFOLD_EDGE] = split[split != NO_INDEX]

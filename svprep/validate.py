@@ -22,6 +22,7 @@ from svprep.cache.verify import verify
 from svprep.defects import DEFECTS
 from svprep.edges import build_edges
 from svprep.errors import InputError, first_few, require_extra
+from svprep.facing import facing
 from svprep.model import (
     BOOL,
     F32,
@@ -33,7 +34,7 @@ from svprep.model import (
     EdgeTable,
     Mesh,
 )
-from svprep.planes import build_planes, facing
+from svprep.planes import build_planes
 from svprep.reference import EdgeSums
 from svprep.repair.stage import repair
 
@@ -87,7 +88,7 @@ class Validation:
     is_deep: bool
     problems: tuple[Problem, ...]
     checks: tuple[str, ...]
-    """One line per check that ran, with what it covered."""
+    """One line per check that passed, with what it covered."""
 
     @property
     def is_valid(self) -> bool:
@@ -110,12 +111,12 @@ def validate(path: str | Path, *, deep: bool = False, on_step: Step | None = Non
         _manifold_type()  # before any long work
     step("structure and digests", 0, 1)
     problems = list(verify(Path(path)))
-    checks = ["structure, digests, ranges and table invariants"]
+    checks = ["structure, digests, ranges and table invariants"] if not problems else []
     if deep and not problems:
         with open_cache(path) as cache:
             for check in (_check_volumes, _check_solids, _check_repair_again):
                 line, found = check(cache, step)
-                checks.append(line)
+                checks += [line] if not found else []
                 problems += found
     return Validation(path=str(path), is_deep=deep, problems=tuple(problems), checks=tuple(checks))
 
@@ -130,7 +131,7 @@ def explain(code: str) -> str:
     """
     wanted = code.strip().upper().split(" ")[0]
     for defect in DEFECTS.values():
-        if wanted in (f"D{int(defect.code)}", defect.code.name):
+        if wanted in (f"D{int(defect.code)}", str(int(defect.code)), defect.code.name):
             return (
                 f"{defect.label} (counted per {defect.unit})\n"
                 f"What:   {defect.summary}\nAction: {defect.action}"
@@ -355,8 +356,7 @@ def _check_repair_again(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
                 f"{len(report.duplicates.code)}",
             )
         )
-    line = "repairing again changes nothing" if not problems else "repairing again"
-    return line, problems
+    return "repairing again changes nothing", problems
 
 
 def _same_but_inverted(a: Components, b: Components) -> bool:

@@ -21,7 +21,7 @@ from svprep.model import I32, I64, NO_INDEX, U32
 def facing(plane: np.ndarray, light: np.ndarray) -> int:
     """Return the exact sign of ``plane . light``, both ``(4,)``: +1, 0 or -1.
 
-    `svprep.planes.facing` decides the same in float64; the two can differ only
+    `svprep.facing.facing` decides the same in float64; the two can differ only
     where that sum is no larger than its own rounding.
     """
     value = sum(

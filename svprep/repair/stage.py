@@ -22,7 +22,7 @@ from svprep.repair.grid import grid_coordinates
 from svprep.repair.solid import find_self_contact
 from svprep.repair.split import EdgeGroups, connect, group_edges, pair_edges, sort_stably
 from svprep.repair.weld import WeldReport
-from svprep.repair.winding import count_opposites, is_closed, signed_volumes, wind
+from svprep.repair.winding import is_closed, opposite_faces, signed_volumes, wind
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,9 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
     )
     inverted = (flags & np.uint8(ComponentFlag.INVERTED)) != 0
     counts = _count_edges(mesh, groups, mate)
-    counts[Code.OPPOSITE_FACE] = count_opposites(mesh)
+    is_opposite = np.zeros(len(mesh.faces), bool)
+    is_opposite[opposite_faces(mesh)] = True
+    counts[Code.OPPOSITE_FACE] = _per_range(is_opposite, mesh.object_face_start)
     counts[Code.FLIPPED_FACE] = _per_range(is_flipped, mesh.object_face_start)
     counts[Code.INVERTED_COMPONENT] = _per_range(inverted, component_start)
     counts[Code.SELF_INTERSECTION] = _per_range(n_touching, component_start)

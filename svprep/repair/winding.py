@@ -181,12 +181,10 @@ def _same_way_again(twins: _Twins, is_kept: BOOL, is_flipped: BOOL) -> I64:
     return face[order][1:][again]
 
 
-def count_opposites(mesh: Mesh) -> U32:
-    """Return, per object, how many faces repeat an earlier face the other way round."""
+def opposite_faces(mesh: Mesh) -> I64:
+    """Return the faces of a repaired mesh that repeat an earlier one the other way round."""
     twins = _coincident_faces(mesh)
-    later = twins.face[twins.face != twins.group]
-    owner = np.searchsorted(mesh.object_face_start, later, side="right") - 1
-    return np.bincount(owner, minlength=len(mesh.object_face_start) - 1).astype(np.uint32)
+    return twins.face[twins.face != twins.group]
 
 
 def _wind_patches(part: Part, flips: BOOL, groups: EdgeGroups) -> BOOL:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from svprep import reference
+from svprep.facing import facing
 from svprep.model import NO_INDEX, ComponentFlag
-from svprep.planes import facing
 from svprep.validate import (
     closed_volume_allowed,
     component_bounds,

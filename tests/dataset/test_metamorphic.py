@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from svprep.defects import DEFECTS, Code
+from svprep.facing import facing
 from svprep.model import NO_INDEX, Prepared, SourceMesh
 from svprep.pipeline import BuildConfig, prepare
-from svprep.planes import facing
 from svprep.repair.weld import weld
 from svprep.report import component_counts, edge_counts
 from tests.dataset.datasets import DATA, SHARED, build, label

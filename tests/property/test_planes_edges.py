@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from svprep import reference
 from svprep.edges import build_edges
 from svprep.errors import CacheError, InputError
+from svprep.facing import facing
 from svprep.model import EdgeFlag, Grid, PlaneTable, SourceMesh
-from svprep.planes import build_planes, default_planar_tolerance_m, facing
+from svprep.planes import build_planes, default_planar_tolerance_m
 from svprep.repair.stage import Repaired, repair
 from svprep.repair.weld import weld
 from tests.property.meshes import (
