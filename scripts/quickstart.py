@@ -33,7 +33,8 @@ def main():
     cache.parent.mkdir(exist_ok=True)
     run_svprep(environment, "build", sample, "-o", cache)
     run_svprep(environment, "validate", cache)
-    print(run_svprep(environment, "info", cache).rstrip())
+    told = run_svprep(environment, "info", cache).splitlines()
+    print("\n".join(line for line in told if not line.startswith("bytes ")))
 
     activate = "Scripts\\activate" if sys.platform == "win32" else "bin/activate"
     verb = "" if sys.platform == "win32" else ". "

@@ -365,8 +365,8 @@ def _print_counts(summary: dict[str, Any]) -> None:
     )
     print(f"grid     {summary['grid_step_m']:g} m")
     print(
-        f"repair   {summary['left_out']:,} faces left out (no area, duplicates, no surface), "
-        f"{summary['turned']:,} turned; no face with area was lost"
+        f"repair   {summary['left_out']:,} faces left out (no area on the grid, duplicates, "
+        f"no surface), {summary['turned']:,} turned; all listed by --report"
     )
     for label, count in summary["defects"].items():
         print(f"found    {count:>10,}  {label}")

@@ -73,8 +73,11 @@ class SourceFile:
     format: str
     """``"obj"``, ``"ply"``, ``"stl"``, ``"off"``, ``"glb"`` or ``"gltf"``."""
     n_bytes: int
+    """Of the file itself, on disk."""
     sha256: str
-    """Of the file's bytes on disk (of the compressed bytes for ``.gz``)."""
+    """Of the file's bytes on disk (of the compressed bytes for ``.gz``); for glTF
+    followed by the bytes of each buffer file beside it that was read, in the
+    order of its ``buffers``."""
 
 
 @dataclass(frozen=True, slots=True)

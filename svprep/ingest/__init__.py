@@ -6,7 +6,10 @@ A format is a module with a function that returns a `ParsedFile`, and an entry i
 
 from __future__ import annotations
 
+import gzip
+import json
 import os
+import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
@@ -68,6 +71,8 @@ _NOT_YET = {
     ".xml": "CityGML",
     ".poly": "TetGen polyhedra",
 }
+_TILESET_KEYS = ("root", "geometricError")
+_TILESET_BYTES = 64 << 20  # larger files are not looked into: a tileset names files
 
 
 def read(paths: Sequence[str | Path], progress: Progress | None = None) -> SourceMesh:
@@ -92,6 +97,7 @@ def read(paths: Sequence[str | Path], progress: Progress | None = None) -> Sourc
         raise InputError("No input file was given; name at least one model file.")
     formats = [_format_of(path) for path in files]
     sizes = [check_file(path) for path in files]
+    _refuse_repeated(files)
     parsed, sources = [], []
     with ThreadPoolExecutor(_n_threads()) as pool:
         for i, (path, (format_name, reader)) in enumerate(zip(files, formats, strict=True)):
@@ -104,7 +110,7 @@ def read(paths: Sequence[str | Path], progress: Progress | None = None) -> Sourc
             parsed.append(reader(data, path, _stem(path), pool, report))
             report(1.0)
             name = str(paths[i])
-            sources.append(SourceFile(name, format_name, sizes[i], sha256.result()))
+            sources.append(SourceFile(name, format_name, sizes[i], sha256(parsed[i].beside)))
     return _concatenate(parsed, sources)
 
 
@@ -134,6 +140,11 @@ def _format_of(path: Path) -> tuple[str, _Reader]:
         return _SUFFIXES[suffix]
     if path.is_dir():
         raise InputError(f"{path}: this is a folder; name the model files in it.")
+    if suffix == ".json" and _is_tileset(path):
+        raise InputError(
+            f"{path}: a 3D Tiles tileset is not read yet; name its .glb files. Its transform is "
+            "not applied to them."
+        )
     known = ", ".join(_SUFFIXES)
     if suffix in _NOT_YET:
         problem = f"{_NOT_YET[suffix]} ({suffix}) is not read yet"
@@ -142,6 +153,32 @@ def _format_of(path: Path) -> tuple[str, _Reader]:
     else:
         problem = "no suffix, so the format is unknown"
     raise InputError(f"{path}: {problem}. Known: {known}, each also with .gz behind it.")
+
+
+def _is_tileset(path: Path) -> bool:
+    """Return whether a JSON file is a 3D Tiles tileset; what cannot be read is none."""
+    if path.name.lower().removesuffix(".gz") == "tileset.json":
+        return True
+    is_packed = path.name.lower().endswith(".gz")
+    try:
+        with gzip.open(path) if is_packed else path.open("rb") as file:
+            text = file.read(_TILESET_BYTES)
+        if b'"asset"' not in text:
+            return False
+        root = json.loads(text)
+    except (OSError, EOFError, zlib.error, ValueError, RecursionError):
+        return False
+    return isinstance(root, dict) and "asset" in root and not root.keys().isdisjoint(_TILESET_KEYS)
+
+
+def _refuse_repeated(files: list[Path]) -> None:
+    """Raise `InputError` for a file that is named twice: each of its faces would be doubled."""
+    seen: set[Path] = set()
+    for path in files:
+        resolved = path.resolve()
+        if resolved in seen:
+            raise InputError(f"{path} is named twice; name each file once.")
+        seen.add(resolved)
 
 
 def _concatenate(parsed: list[ParsedFile], sources: list[SourceFile]) -> SourceMesh:

@@ -10,8 +10,8 @@ import hashlib
 import os
 import stat
 import zlib
-from collections.abc import Iterator
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -51,7 +51,7 @@ def check_file(path: Path) -> int:
     return status.st_size
 
 
-def read_file(path: Path, pool: Executor) -> tuple[U8, Future[str]]:
+def read_file(path: Path, pool: Executor) -> tuple[U8, Callable[[Sequence[bytes]], str]]:
     """Read a file.
 
     Returns
@@ -59,8 +59,9 @@ def read_file(path: Path, pool: Executor) -> tuple[U8, Future[str]]:
     data : (n_bytes + 1,) uint8
         The file's bytes, and a line feed that the OBJ parser needs. Of a ``.gz`` file, the
         bytes that it unpacks to.
-    sha256 : Future[str]
-        Of the bytes on disk, computed by `pool` in the meantime.
+    sha256 : function
+        Returns the digest of the bytes on disk, followed by those of the files beside it
+        that the reader names. `pool` computes it in the meantime.
     """
     with _file_errors(path), path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
@@ -74,7 +75,14 @@ def read_file(path: Path, pool: Executor) -> tuple[U8, Future[str]]:
     if data.size == 1:
         raise InputError(f"{path}: the file is empty.")
     on_disk = data[:-1]
-    sha256 = pool.submit(lambda: hashlib.sha256(on_disk.data).hexdigest())
+    hashing = pool.submit(hashlib.sha256, on_disk.data)
+
+    def sha256(beside: Sequence[bytes]) -> str:
+        digest = hashing.result().copy()
+        for content in beside:
+            digest.update(content)
+        return digest.hexdigest()
+
     if path.suffix.lower() == ".gz":
         data = _unpack(path, on_disk)
     return data, sha256

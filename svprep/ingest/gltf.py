@@ -2,7 +2,8 @@
 
 Our own, because the decoder in trimesh names nodes at random where a mesh has several
 primitives, loses what hangs below a camera, skips triangle fans, and reads normalised or
-sparse positions as something else without a word.
+sparse positions as something else without a word. Quantised positions
+(KHR_mesh_quantization) are read; of other extensions see `svprep.ingest.gltf_extensions`.
 
 One object per node with a surface, so a mesh that n nodes use gives n objects. A node's
 triangles count in file order. y up becomes z up: (x, y, z) -> (x, -z, y).
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.errors import InputError, first_few
+from svprep.ingest.gltf_extensions import extension_notes, refuse_unread
 from svprep.ingest.parsed import ParsedFile, count_of, no_findings, refuse_non_finite
 from svprep.model import F64, I64, U8
 
@@ -31,12 +33,6 @@ _BIN_CHUNK: Final = 0x004E4942
 _DTYPES: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_UNDECODED: Final = {
-    "KHR_draco_mesh_compression": "its meshes are Draco-compressed",
-    "EXT_meshopt_compression": "its buffers are meshopt-compressed",
-    "KHR_meshopt_compression": "its buffers are meshopt-compressed",
-    "EXT_mesh_gpu_instancing": "it places meshes by EXT_mesh_gpu_instancing",
-}
 _Z_UP_FROM_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
@@ -102,6 +98,8 @@ class _Gltf:
         self.path = path
         self.binary = binary
         self.buffers: dict[int, bytes] = {}
+        self.beside: set[int] = set()  # buffers that are files of their own
+        self.meshes: set[int] = set()  # with surfaces that were read
         self.left_out: Counter[str] = Counter()
         self.positions: list[F64] = []
         self.faces: list[NDArray[np.uint32]] = []
@@ -111,15 +109,7 @@ class _Gltf:
 
     def read(self, stem: str) -> ParsedFile:
         """Walk the scene and gather its surfaces."""
-        used = set(self.tree.get("extensionsUsed", [])) | set(
-            self.tree.get("extensionsRequired", [])
-        )
-        for extension, problem in _UNDECODED.items():
-            if extension in used:
-                raise InputError(
-                    f"{self.path}: {problem}, which is not read; export it without "
-                    f"{extension} (gltf-transform can)."
-                )
+        refuse_unread(self.tree, self.path)
         nodes = self.tree.get("nodes", [])
         for root in self._roots():
             self._visit(root, np.eye(4), frozenset())
@@ -130,6 +120,7 @@ class _Gltf:
                 f"{f' ({detail})' if detail else ''}."
             )
         faces = np.concatenate(self.faces)
+        notes = self._notes() + extension_notes(self.tree, self.meshes, self._accessor)
         return ParsedFile(
             np.concatenate(self.positions),
             faces,
@@ -137,7 +128,8 @@ class _Gltf:
             np.arange(len(faces), dtype=np.uint32),
             tuple(self.names),
             no_findings(),
-            ("y up was turned to z up: (x, y, z) -> (x, -z, y)", *self._notes()),
+            ("y up was turned to z up: (x, y, z) -> (x, -z, y)", *notes),
+            tuple(self.buffers[i] for i in sorted(self.beside)),
         )
 
     def _roots(self) -> list[int]:
@@ -213,6 +205,7 @@ class _Gltf:
             self.n_vertices += len(points)
             n_faces += len(triangles)
         if n_faces:
+            self.meshes.add(node["mesh"])
             self.names.append(name)
             self.face_counts.append(n_faces)
         if "skin" in node:
@@ -278,6 +271,7 @@ class _Gltf:
                 beside = self.path.parent / unquote(uri)
                 try:
                     self.buffers[index] = beside.read_bytes()
+                    self.beside.add(index)
                 except OSError as error:
                     raise InputError(
                         f"{self.path}: its buffer {beside} cannot be read: {error.strerror}."

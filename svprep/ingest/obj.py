@@ -7,9 +7,15 @@ does not have. Everything else (texture, normals, materials, smoothing) is skipp
 
 What the objects are: if a file has two or more different ``o`` names, those are the
 objects, and faces before the first ``o`` belong to an object named by the file's stem.
-Otherwise, if it has ``g`` statements, the groups are: the whole text after ``g`` is the
-name, ``default`` where there is none. Otherwise the file is one object, named by its
-stem. A name that comes back continues its object. Objects are ordered by first face.
+With a single ``o`` name O it is the same, except where there are two or more different
+groups: the objects are then the groups, named ``O/G`` (``O`` outside of any group, and
+the stem in place of O before the ``o``), so that no name is lost. A file without ``o``
+names is split by its groups, if it has ``g`` statements. Otherwise it is one object, named
+by its stem.
+
+The whole text after ``o`` or ``g`` is the name, ``default`` where there is none: with an
+``o`` the group ``default`` is no group, and ``o`` statements without any name are none.
+A name that comes back continues its object. Objects are ordered by first face.
 
 The text is cut at line ends into chunks of fixed size, which threads parse
 (`svprep.kernels.obj_parser`): the result does not depend on their number.

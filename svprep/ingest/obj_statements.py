@@ -70,32 +70,48 @@ def objects_of(
     data: U8, statements: I64, n_polygons: int, stem: str
 ) -> tuple[tuple[str, ...], I64, list[str]]:
     """Return the objects' names, the object of each polygon, and what is to be noted."""
-    keys = statements[:, 0]
-    rows = {
-        key: [
-            (_name(data, begin, end), polygon)
-            for _, begin, end, polygon, _ in statements[keys == ord(key)].tolist()
-        ]
-        for key in "og"
-    }
-    if len({name for name, _ in rows["o"]}) >= 2:
-        used, before = rows["o"], stem
-    elif rows["g"]:
-        used, before = rows["g"], "default"
+    is_name = np.isin(statements[:, 0], [ord("o"), ord("g")])
+    rows = [
+        (chr(key), _name(data, begin, end), polygon)
+        for key, begin, end, polygon, _ in statements[is_name].tolist()
+    ]
+    o_names = {name for key, name, _ in rows if key == "o"}
+    groups = {name for key, name, _ in rows if key == "g" and name != "default"}
+    if o_names == {"default"}:
+        o_names = set()
+    if len(o_names) == 1 and len(groups) >= 2:
+        before, used = stem, _groups_of_one_object(rows, stem)
     else:
-        used, before = [], stem
-    starts = [0, *(polygon for _, polygon in used), n_polygons]
+        wanted = "o" if o_names else "g"
+        used = [((name,), name, polygon) for key, name, polygon in rows if key == wanted]
+        before = "default" if used and wanted == "g" else stem
+    starts = [0, *(polygon for _, _, polygon in used), n_polygons]
     names: dict[str, int] = {}
+    filled: set[str] = set()
     objects = []
-    for i, name in enumerate([before, *(name for name, _ in used)]):
+    for i, parts in enumerate([(before,), *(parts for parts, _, _ in used)]):
         is_empty = starts[i] == starts[i + 1]
-        objects.append(-1 if is_empty else names.setdefault(name, len(names)))
-    empty = list(dict.fromkeys(name for name, _ in used if name not in names))
+        objects.append(-1 if is_empty else names.setdefault("/".join(parts), len(names)))
+        filled.update(() if is_empty else parts)
+    empty = {said: "/".join(parts) for parts, said, _ in used if said not in filled}
     notes = []
     if empty:
-        listed = first_few([f'"{name}"' for name in empty])
+        listed = first_few([f'"{name}"' for name in empty.values()])
         notes.append(f"{count_of(len(empty), 'object')} without faces left out: {listed}")
     return tuple(names), np.repeat(objects, np.diff(starts)), notes
+
+
+def _groups_of_one_object(
+    rows: list[tuple[str, str, int]], stem: str
+) -> list[tuple[tuple[str, ...], str, int]]:
+    """Return at each statement: object and group (none if it is ``default``), its name, polygon."""
+    used: list[tuple[tuple[str, ...], str, int]] = []
+    current, group = stem, "default"
+    for key, name, polygon in rows:
+        current, group = (name, group) if key == "o" else (current, name)
+        parts = (current,) if group == "default" else (current, group)
+        used.append((parts, parts[0] if name == "default" else name, polygon))
+    return used
 
 
 def keyword_notes(data: U8, statements: I64) -> list[str]:

@@ -27,6 +27,8 @@ class ParsedFile:
     face_findings: FaceFindings
     notes: tuple[str, ...]
     """Without the file's name."""
+    beside: tuple[bytes, ...] = ()
+    """What was read from files beside this one, which its digest covers too."""
 
 
 def no_findings() -> FaceFindings:

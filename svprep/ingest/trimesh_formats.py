@@ -1,4 +1,4 @@
-"""PLY and STL, decoded by trimesh.
+"""PLY and STL, decoded by trimesh, save for binary PLY (`svprep.ingest.ply_binary`).
 
 Only its decoders are used, not its meshes: nothing is merged, triangulated or dropped by
 it. What they leave unchecked (indices, cut-off text, numbers that are none) is checked
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from svprep.errors import InputError
+from svprep.ingest import ply_binary
 from svprep.ingest.parsed import (
     ParsedFile,
     count_of,
@@ -24,38 +25,21 @@ from svprep.ingest.parsed import (
     polygons_as_object,
     refuse_non_finite,
 )
-from svprep.model import U8
+from svprep.model import F64, I64, U8
 
 _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 
 
 def read_ply(data: U8, path: Path, stem: str) -> ParsedFile:
-    """Read a PLY file, ASCII or binary: one object with all its polygons.
-
-    Raises
-    ------
-    InputError
-        Also for a binary file whose polygons have different sizes, which trimesh cannot
-        decode.
-    """
-    from trimesh.exchange.ply import load_ply
-
-    kwargs = _decoded(load_ply, "PLY", data[:-1], path, fix_texture=False, skip_materials=True)
-    elements = kwargs["metadata"]["_ply_raw"]
-    announced = {name: int(element["length"]) for name, element in elements.items()}
-    if not announced.get("face") or not announced.get("vertex"):
-        found = ", ".join(f"{n} {name}" for name, n in announced.items() if n) or "nothing"
-        raise InputError(f"{path}: no faces in this PLY file ({found}), so no shadow.")
-    positions = np.ascontiguousarray(kwargs["vertices"], np.float64)
-    rings = _ply_rings(elements["face"].get("data"), path)
-    if len(positions) != announced["vertex"] or len(rings) != announced["face"]:
-        raise InputError(
-            f"{path}: cut off: {announced['vertex']} vertices and {announced['face']} faces "
-            f"announced, {len(positions)} and {len(rings)} found."
-        )
+    """Read a PLY file, ASCII or binary: one object with all its polygons."""
+    text = data[:-1].tobytes()
+    if ply_binary.is_binary(text):
+        announced = ply_binary.element_counts(text, path)
+        _refuse_no_faces(announced, path)
+        positions, corners, sizes = ply_binary.decode(text, path)
+    else:
+        positions, corners, sizes, announced = _ascii_ply(data[:-1], path)
     refuse_non_finite(positions, path, f'object "{stem}"')
-    sizes = [len(ring) for ring in rings]
-    corners = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
     is_bad = ~((corners >= 0) & (corners < len(positions)))
     if is_bad.any():
         raise InputError(
@@ -71,22 +55,39 @@ def read_ply(data: U8, path: Path, stem: str) -> ParsedFile:
     return polygons_as_object(positions, corners.astype(np.uint32), start, path, stem, notes)
 
 
-def _ply_rings(data: Any, path: Path) -> Any:
+def _refuse_no_faces(announced: dict[str, int], path: Path) -> None:
+    """Raise `InputError` where the header announces nothing that casts a shadow."""
+    if not announced.get("face") or not announced.get("vertex"):
+        found = ", ".join(f"{n} {name}" for name, n in announced.items() if n) or "nothing"
+        raise InputError(f"{path}: no faces in this PLY file ({found}), so no shadow.")
+
+
+def _ascii_ply(data: U8, path: Path) -> tuple[F64, F64, I64, dict[str, int]]:
+    """Return positions, corners, the size of each face, and what the header announces."""
+    from trimesh.exchange.ply import load_ply
+
+    kwargs = _decoded(load_ply, "PLY", data, path, fix_texture=False, skip_materials=True)
+    elements = kwargs["metadata"]["_ply_raw"]
+    announced = {name: int(element["length"]) for name, element in elements.items()}
+    _refuse_no_faces(announced, path)
+    positions = np.ascontiguousarray(kwargs["vertices"], np.float64)
+    rings = _ascii_rings(elements["face"].get("data"))
+    if len(positions) != announced["vertex"] or len(rings) != announced["face"]:
+        raise InputError(
+            f"{path}: cut off: {announced['vertex']} vertices and {announced['face']} faces "
+            f"announced, {len(positions)} and {len(rings)} found."
+        )
+    sizes = np.array([len(ring) for ring in rings], np.int64)
+    corners = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
+    return positions, corners, sizes, announced
+
+
+def _ascii_rings(data: Any) -> Any:
     """Return the corners of each polygon: rows of an array, or a list of arrays."""
     names = ("vertex_indices", "vertex_index")
     if isinstance(data, dict):
         found = [data[name] for name in names if name in data]
         return np.atleast_2d(found[0]) if found and found[0].dtype != object else (found or [[]])[0]
-    if isinstance(data, np.ndarray) and data.dtype.names:
-        fields = data.dtype.names
-        name = next((name for name in names if name in fields), fields[0])
-        sizes, rings = data[name]["f0"], data[name]["f1"].reshape(len(data), -1)
-        if (sizes != rings.shape[1]).any():
-            raise InputError(
-                f"{path}: a binary PLY file with faces of different sizes, which is not read; "
-                "triangulate it or save it as ASCII PLY."
-            )
-        return rings
     return []
 
 
@@ -108,10 +109,14 @@ def read_stl(data: U8, path: Path, stem: str) -> ParsedFile:
     elif len(text) >= _STL_HEADER_BYTES:
         (n_announced,) = struct.unpack_from("<I", text, 80)
         n_bytes = _STL_HEADER_BYTES + _STL_TRIANGLE_BYTES * n_announced
+        if n_bytes != len(text) and b"\0" not in text[:512]:  # text: its count means nothing
+            raise InputError(
+                f'{path}: not an STL file or cut off: text that does not begin with "solid".'
+            )
         if n_bytes != len(text):
             raise InputError(
-                f"{path}: damaged or cut off: a binary STL file of {n_announced} triangles has "
-                f"{n_bytes} bytes, this one has {len(text)}."
+                f"{path}: not an STL file or cut off: a binary STL file of {n_announced} "
+                f"triangles has {n_bytes} bytes, this one has {len(text)}."
             )
     else:
         raise InputError(f"{path}: not an STL file: too short for one ({len(text)} bytes).")
@@ -154,7 +159,4 @@ def _decoded(load: Any, kind: str, data: U8, path: Path, **options: Any) -> dict
             return load(io.BytesIO(data.tobytes()), **options)
     except Exception as error:
         detail = (str(error).splitlines() or [""])[0][:120] or type(error).__name__
-        hint = ", or a binary PLY file with faces of different sizes" if "length" in detail else ""
-        raise InputError(
-            f"{path}: damaged, cut off or not {kind}{hint} (trimesh: {detail})."
-        ) from None
+        raise InputError(f"{path}: damaged, cut off or not {kind} (trimesh: {detail}).") from None

@@ -7,6 +7,8 @@ Plain twin: `svprep.reference.first_equal_row`.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -94,3 +96,71 @@ def counting_order(keys, n_keys, order, key_start):
     for k in range(n_keys, 0, -1):
         key_start[k] = key_start[k - 1]
     key_start[0] = 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+def pull_onto_leaders(points, group_start, tolerance, target):
+    """Write to ``target[i]`` the point that point i moves onto, itself if it stays.
+
+    In order, within each group: a point moves onto the first point that stays
+    within `tolerance` of it, else it stays. So points that stay are farther
+    apart than the tolerance, and no move chains.
+
+    ``points (n, 3) int32``; group g owns ``[group_start[g], group_start[g + 1])``;
+    ``target (n,) int32``. O(n): points that stay are kept in cells of the
+    tolerance's size, of which the 27 around a point hold a bounded number.
+    """
+    largest = 0
+    for g in range(len(group_start) - 1):
+        largest = max(largest, group_start[g + 1] - group_start[g])
+    capacity = 2
+    while capacity < 2 * largest:
+        capacity *= 2
+    head = np.empty(capacity, np.int32)
+    behind = np.empty(len(points), np.int32)
+    cells = np.empty((len(points), 3), np.int64)
+    size = max(tolerance, 1.0)
+    for g in range(len(group_start) - 1):
+        begin = group_start[g]
+        end = group_start[g + 1]
+        used = 2
+        while used < 2 * (end - begin):
+            used *= 2
+        for slot in range(used):
+            head[slot] = -1
+        for i in range(begin, end):
+            for axis in range(3):
+                cells[i, axis] = np.int64(math.floor(points[i, axis] / size))
+            best = i
+            for around in range(28):  # the 27 cells, and last its own again, to stay in
+                x = cells[i, 0]
+                y = cells[i, 1]
+                z = cells[i, 2]
+                if around < 27:
+                    x += around % 3 - 1
+                    y += (around // 3) % 3 - 1
+                    z += around // 9 - 1
+                elif best != i:
+                    break
+                h = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
+                h = (h ^ (h >> np.uint64(32)) ^ np.uint64(y)) * np.uint64(0xC2B2AE3D27D4EB4F)
+                h = (h ^ (h >> np.uint64(32)) ^ np.uint64(z)) * np.uint64(0x165667B19E3779F9)
+                slot = np.int64((h >> np.uint64(31)) & np.uint64(used - 1))
+                while head[slot] >= 0:
+                    j = head[slot]
+                    if cells[j, 0] == x and cells[j, 1] == y and cells[j, 2] == z:
+                        break
+                    slot = (slot + 1) & (used - 1)
+                j = head[slot]
+                if around == 27:
+                    behind[i] = j
+                    head[slot] = i
+                    break
+                while j >= 0:
+                    dx = np.float64(points[i, 0]) - np.float64(points[j, 0])
+                    dy = np.float64(points[i, 1]) - np.float64(points[j, 1])
+                    dz = np.float64(points[i, 2]) - np.float64(points[j, 2])
+                    if j < best and dx * dx + dy * dy + dz * dz <= tolerance * tolerance:
+                        best = j
+                    j = behind[j]
+            target[i] = best

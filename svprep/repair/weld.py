@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svprep.defects import Code
-from svprep.kernels.rows import count_distinct_per_group, first_equal_row
+from svprep.kernels.rows import count_distinct_per_group, first_equal_row, pull_onto_leaders
 from svprep.kernels.surface import face_normals
 from svprep.model import BOOL, I32, I64, U32, FaceFindings, Grid, Mesh, SourceMesh
 from svprep.parallel import for_ranges
@@ -79,12 +79,8 @@ def weld(source: SourceMesh, weld_tolerance_m: float = 0.0) -> tuple[Mesh, WeldR
         kept_before = np.concatenate(([0], np.cumsum(has_area)))
         face_start = kept_before[face_start]
 
-    first = np.empty(len(corner_points), np.int32)
     corner_start = 3 * face_start
-    for_ranges(
-        corner_start,
-        lambda begin, end: first_equal_row(corner_points, corner_start, begin, end, first),
-    )
+    first = _first_at_each_position(corner_points, corner_start)
     is_new = first == np.arange(len(first), dtype=np.int32)
     vertex_before = np.zeros(len(first) + 1, np.int64)
     np.cumsum(is_new, out=vertex_before[1:])
@@ -143,22 +139,26 @@ def _pull_together(
 
     A vertex that moved is never a target, so moves do not chain.
     """
-    from scipy.spatial import cKDTree
+    corner_start = 3 * source.object_face_start
+    first = _first_at_each_position(corner_points, corner_start)
+    standing = np.flatnonzero(first == np.arange(len(first), dtype=np.int32))
+    points = corner_points[standing]
+    target = np.empty(len(points), np.int32)
+    pull_onto_leaders(
+        points, np.searchsorted(standing, corner_start), tolerance_m / grid.step_m, target
+    )
+    moved = np.linalg.norm((points[target] - points).astype(np.float64), axis=1)
+    rank = np.empty(len(first), np.int32)
+    rank[standing] = np.arange(len(standing), dtype=np.int32)
+    return points[target][rank[first]], float(moved.max(initial=0.0) * grid.step_m)
 
-    tolerance = tolerance_m / grid.step_m
-    owner = np.repeat(np.arange(len(source.object_names)), 3 * np.diff(source.object_face_start))
-    rows = np.column_stack((owner, corner_points))
-    unique, first, row_of_corner = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    rank = np.argsort(np.argsort(first))  # order of first use in the file
-    # A fourth axis keeps objects farther apart than the tolerance.
-    spread = np.column_stack((unique[:, 1:], unique[:, 0] * (2.0 * tolerance + 2.0)))
-    pairs = cKDTree(spread.astype(np.float64)).query_pairs(tolerance, output_type="ndarray")
-    earlier = np.where(rank[pairs[:, 0]] < rank[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
-    later = pairs.sum(axis=1) - earlier
-    target = np.arange(len(unique))
-    for k in np.lexsort((rank[earlier], rank[later])):
-        if target[earlier[k]] == earlier[k] and target[later[k]] == later[k]:
-            target[later[k]] = earlier[k]
-    moved = np.linalg.norm((unique[target] - unique)[:, 1:].astype(np.float64), axis=1)
-    welded = unique[target, 1:].astype(np.int32)[row_of_corner.reshape(-1)]
-    return np.ascontiguousarray(welded), float(moved.max(initial=0.0) * grid.step_m)
+
+def _first_at_each_position(corner_points: I32, corner_start: I64) -> I32:
+    """Return, per corner, the first corner of its object at the same position."""
+    first = np.empty(len(corner_points), np.int32)
+
+    def work(begin: int, end: int) -> None:
+        first_equal_row(corner_points, corner_start, begin, end, first)
+
+    for_ranges(corner_start, work)
+    return first

@@ -54,16 +54,19 @@ def twin(text: str) -> tuple[list[list[float]], list[list[int]], list[str]]:
         elif keyword == "f":
             indices = [int(token.split("/")[0]) for token in tokens]
             polygons.append([i - 1 if i > 0 else len(positions) + i for i in indices])
-    if len({name for _, name in names["o"]}) >= 2:
-        used, name = names["o"], "t"
-    elif names["g"]:
-        used, name = names["g"], "default"
-    else:
-        used, name = [], "t"
+    has_objects = {name for _, name in names["o"]} - {"default"} or len(names["o"]) == 0
+    n_objects = len({name for _, name in names["o"]}) if has_objects else 0
+    n_groups = len({name for _, name in names["g"]} - {"default"})
     object_names = []
     for i in range(len(polygons)):
-        name = ([name] + [n for start, n in used if start <= i])[-1]
-        object_names.append(name)
+        current = (["t"] + [name for start, name in names["o"] if start <= i])[-1]
+        group = (["default"] + [name for start, name in names["g"] if start <= i])[-1]
+        if n_objects == 1 and n_groups >= 2 and group != "default":
+            object_names.append(f"{current}/{group}")
+        elif n_objects:
+            object_names.append(current)
+        else:
+            object_names.append(group if names["g"] else "t")
     return positions, polygons, object_names
 
 

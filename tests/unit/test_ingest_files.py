@@ -28,13 +28,24 @@ def test_several_files(tmp_path):
 
 
 def test_progress_ends_at_the_total(tmp_path):
-    path = tmp_path / "a.obj"
+    path, other = tmp_path / "a.obj", tmp_path / "b.obj"
     path.write_bytes(TRIANGLE)
+    other.write_bytes(TRIANGLE)
     told = []
-    read([path, path], lambda done, total: told.append((done, total)))
+    read([path, other], lambda done, total: told.append((done, total)))
     total = 2 * len(TRIANGLE)
     assert told[-1] == (total, total)
     assert told == sorted(told)
+
+
+def test_a_file_named_twice(tmp_path):
+    path, link = tmp_path / "a.obj", tmp_path / "b.obj"
+    path.write_bytes(TRIANGLE)
+    link.symlink_to(path)
+    for second in (path, tmp_path / "." / ".." / tmp_path.name / "a.obj", link):
+        with pytest.raises(InputError) as raised:
+            read([path, second])
+        assert str(raised.value) == f"{second} is named twice; name each file once."
 
 
 def refusal(path) -> str:
@@ -95,6 +106,28 @@ def test_unknown_suffixes(tmp_path, name, problem):
     message = refusal(tmp_path / name)
     assert problem in message
     assert "Known: .obj, .ply, .stl, .off, .glb, .gltf" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "is_tileset"),
+    [
+        ("tileset.json", b"", True),
+        ("Tileset.json.gz", b"no gzip", True),
+        ("a.json", b'{"asset": {}, "root": {}}', True),
+        ("a.json.gz", gzip.compress(b'{"asset": {}, "geometricError": 1}'), True),
+        ("a.json", b'{"asset": {}}', False),
+        ("a.json", b'{"type": "CityJSON", "x": {"asset": 1, "root": 1}}', False),
+        ("a.json", b'["asset", "root"]', False),
+        ("a.json", b'{"asset": ' + b"[" * 100_000, False),
+        ("a.json.gz", b'"asset"', False),
+        ("a.json.gz", gzip.compress(b'{"asset": {}, "root": {}}')[:-12], False),
+    ],
+)
+def test_tilesets(tmp_path, name, content, is_tileset):
+    (tmp_path / name).write_bytes(content)
+    message = refusal(tmp_path / name)
+    assert ("a 3D Tiles tileset is not read yet; name its .glb files" in message) == is_tileset
+    assert ("CityJSON (.json) is not read yet" in message) != is_tileset
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import struct
 from pathlib import Path
@@ -117,7 +118,7 @@ def test_binary_ply(tmp_path):
     path.write_bytes(text.encode() + b"end_header\n" + data)
     assert read([path]).source_face.tolist() == [0, 0]
     path.write_bytes(text.encode() + b"end_header\n" + data[:-3])
-    assert "damaged, cut off or not PLY" in refusal(path)
+    assert "1 face rows announced, 0 whole ones found" in refusal(path)
 
 
 @pytest.mark.parametrize(
@@ -143,16 +144,94 @@ def test_ply_refusals(tmp_path, text, message):
     assert message in refusal(path)
 
 
-def test_binary_ply_with_mixed_sizes_is_refused(tmp_path):
+RING = "property list uchar int vertex_indices\n"
+
+
+def binary_ply(sign: str, before: str, after: str, faces: list[bytes], tail: bytes = b"") -> bytes:
+    text = ply(FOUR, ["face"] * len(faces)).partition("end_header\n")[0]
+    order = {"<": "little", ">": "big"}[sign]
+    text = text.replace("ascii", f"binary_{order}_endian").replace(RING, before + RING + after)
+    data = np.array(POINTS, sign + "f4").tobytes() + b"".join(faces) + tail
+    return text.encode() + b"end_header\n" + data
+
+
+@pytest.mark.parametrize("sign", ["<", ">"])
+@pytest.mark.parametrize(
+    ("before", "after", "head", "tail"),
+    [
+        ("", "", b"", b""),
+        ("property ushort flags\n", "property uchar red\n", b"\1\2", b"\3"),
+        ("property list uchar float texcoord\n", "", b"\1" + b"\0" * 4, b""),
+        ("", "property list uchar short more\n", b"", b"\0"),
+    ],
+)
+def test_binary_ply_with_faces_of_different_sizes(tmp_path, sign, before, after, head, tail):
+    rings = [(0, 1, 2, 3), (0, 1, 2), (), (0, 2, 3)]
+    faces = [head + struct.pack(f"{sign}B{len(ring)}i", len(ring), *ring) + tail for ring in rings]
     path = tmp_path / "a.ply"
-    text = ply(FOUR, ["4", "3"]).partition("end_header\n")[0]
-    text = text.replace("ascii", "binary_little_endian") + "end_header\n"
-    data = np.array(POINTS, "<f4").tobytes()
-    data += struct.pack("<B4i", 4, 0, 1, 2, 3) + struct.pack("<B3i", 3, 0, 1, 2)
-    path.write_bytes(text.encode() + data)
-    assert "faces of different sizes" in refusal(path)
-    path.write_bytes(text.encode() + data + b"\0\0\0\0")
-    assert "faces of different sizes, which is not read" in refusal(path)
+    path.write_bytes(binary_ply(sign, before, after, faces, b"more"))
+    mesh = read([path])
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 2, 3]]
+    assert mesh.source_face.tolist() == [0, 0, 1, 3]
+    assert mesh.positions.tolist() == [list(map(float, p)) for p in POINTS]
+    whole = binary_ply(sign, before, after, faces)
+    for end in range(1, len(whole)):
+        path.write_bytes(whole[:end])
+        refusal(path)
+
+
+def test_binary_ply_with_elements_around_the_faces(tmp_path):
+    text = """ply\r
+format binary_little_endian 1.0\r
+comment element vertex 7\r
+element strip 2\r
+property list int uchar of\r
+element vertex 4\r
+property double x\r
+property uchar red\r
+property double y\r
+property double z\r
+element face 1\r
+property list uint8 uint32 vertex_index\r
+element edge 9\r
+property int a\r
+end_header\r
+"""
+    data = struct.pack("<iBBiB", 2, 7, 7, 1, 7)
+    data += b"".join(struct.pack("<dBdd", x, 9, y, z) for x, y, z in POINTS)
+    path = tmp_path / "a.ply"
+    path.write_bytes(text.encode() + data + struct.pack("<B3I", 3, 0, 2, 3))
+    mesh = read([path])
+    assert mesh.faces.tolist() == [[0, 2, 3]]
+    assert mesh.notes == ("a.ply: 2 strip elements not read", "a.ply: 9 edge elements not read")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"property float z", b"property float w", "a vertex has no x, y and z"),
+        (b"property float z", b"property long z", 'the header line "property long z"'),
+        (b"list uchar int", b"list float int", 'the header line "property list float int'),
+        (b"list uchar int", b"list char int", "a list of length -1 in face 1"),
+        (b"property list uchar int", b"property int", "faces without a list of vertices"),
+        (b"element face 2", b"element face -2", 'the header line "element face -2"'),
+        (b"element face 2", b"element face 9", "9 face rows announced, 2 whole ones found"),
+        (b"element face 2", b"element face 0", "no faces in this PLY file (4 vertex)"),
+        (b"element vertex 4", b"element vertex 400", "vertices end too early"),
+        (b"element face 2", b"element vertex 2", "an element that the header lists twice"),
+    ],
+)
+def test_damaged_binary_ply(tmp_path, old, new, message):
+    faces = [struct.pack("<B4i", 4, 0, 1, 2, 3), struct.pack("<B3i", 3, 0, 1, 2)]
+    data = binary_ply("<", "", "", faces)
+    if b"char int" in new:
+        data = data.replace(faces[1], b"\xff" + faces[1][1:])
+    if b"vertex 2" in new:
+        data = data.replace(b"element face", b"element face 2\nelement face")
+    assert old in data
+    path = tmp_path / "a.ply"
+    path.write_bytes(data.replace(old, new))
+    assert message in refusal(path)
 
 
 # --- STL
@@ -192,6 +271,8 @@ def test_binary_stl(tmp_path):
         (binary_stl(POINTS[:3])[:-1], "a binary STL file of 1 triangles has 134 bytes"),
         (binary_stl([(0, 0, 0), (1, 0, 0), (np.inf, 1, 0)]), "vertex 2 is (inf, 1, 0)"),
         (b"short", "too short"),
+        (b"0" * 200, "not an STL file or cut off: text that does not begin with"),
+        (b"\0" * 80 + b"0" * 90, "not an STL file or cut off: a binary STL file of 808464432"),
         (b"solid a\nendsolid a\n", "no triangles"),
         ((solid("a") + solid("b")[:-20]).encode(), 'damaged or cut off: 2 "outer loop", but 1'),
         (solid("a").replace("1 1 0", "1 x 0").encode(), "damaged, cut off or not STL"),
@@ -323,6 +404,110 @@ def test_glb_equals_gltf(tmp_path):
         refusal(path)
 
 
+def test_gltf_digest_covers_the_buffers_beside_it(tmp_path):
+    tree = gltf([{"mesh": 0}])
+    blob = base64.b64decode(tree["buffers"][0]["uri"].partition(",")[2])
+    inline = write_gltf(tmp_path / "a.gltf", tree)
+    assert read([inline]).sources[0].sha256 == hashlib.sha256(inline.read_bytes()).hexdigest()
+    tree["buffers"] = [
+        {"byteLength": 48, "uri": "a%20b.bin"},
+        {"byteLength": 99, "uri": "image.bin"},
+        {"byteLength": 6, "uri": "indices.bin"},
+    ]
+    tree["bufferViews"][1] = {"buffer": 2, "byteLength": 6}
+    (tmp_path / "a b.bin").write_bytes(blob[:48])
+    (tmp_path / "indices.bin").write_bytes(blob[48:])
+    path = write_gltf(tmp_path / "a.gltf", tree)
+    expected = hashlib.sha256(path.read_bytes() + blob).hexdigest()
+    assert read([path]).sources[0].sha256 == expected
+    (tmp_path / "a b.bin").write_bytes(np.array(POINTS[::-1], "<f4").tobytes())
+    assert read([path]).sources[0].sha256 != expected
+
+
+@pytest.mark.parametrize(
+    ("component", "dtype", "normalized", "unit"),
+    [
+        (5120, "<i1", True, 127),
+        (5121, "<u1", True, 255),
+        (5122, "<i2", True, 32767),
+        (5123, "<u2", True, 65535),
+        (5122, "<i2", False, 1),
+        (5121, "<u1", False, 1),
+    ],
+)
+def test_gltf_quantised_positions(tmp_path, component, dtype, normalized, unit):
+    tree = gltf([{"mesh": 0, "scale": [2, 2, 2]}])
+    low = -unit if "i" in dtype else 0
+    points = np.zeros((4, 4), dtype)  # rows padded to four components
+    points[:, :3] = np.array([(0, 0, 0), (unit, 0, 0), (unit, unit, low), (0, unit, 0)])
+    blob = points.tobytes()
+    uri = "data:;base64," + base64.b64encode(blob).decode()
+    tree["buffers"].append({"byteLength": len(blob), "uri": uri})
+    tree["bufferViews"][0] = {
+        "buffer": 1,
+        "byteLength": len(blob),
+        "byteStride": 4 * points.itemsize,
+    }
+    tree["accessors"][0] |= {"componentType": component, "normalized": normalized}
+    tree["extensionsUsed"] = tree["extensionsRequired"] = ["KHR_mesh_quantization"]
+    mesh = read([write_gltf(tmp_path / "a.gltf", tree)])
+    assert mesh.positions[:3].tolist() == [[0, 0, 0], [2, 0, 0], [2, 2 if low else 0, 2]]
+
+
+def with_features(points: list, ids: list[float], entry: dict | None, name: str) -> dict:
+    tree = gltf([{"mesh": 0}], points=points, indices=range(len(points)))
+    uri = "data:;base64," + base64.b64encode(np.array(ids, "<f4").tobytes()).decode()
+    tree["buffers"].append({"byteLength": 4 * len(ids), "uri": uri})
+    tree["bufferViews"].append({"buffer": 1, "byteLength": 4 * len(ids)})
+    tree["accessors"].append(
+        {"bufferView": 2, "componentType": 5126, "count": len(ids), "type": "SCALAR"}
+    )
+    primitive = tree["meshes"][0]["primitives"][0]
+    if name:
+        primitive["attributes"][name] = 2
+    if entry is not None:
+        primitive["extensions"] = {"EXT_mesh_features": {"featureIds": [entry]}}
+    return tree
+
+
+FEATURES = "holds {} objects as feature ids ({}), which are not read yet: each mesh is one object"
+
+
+@pytest.mark.parametrize(
+    ("ids", "entry", "name", "n_meshes", "note"),
+    [
+        ((0, 0, 0, 1, 1, 1), {"attribute": 0, "featureCount": 9}, "_FEATURE_ID_0", 1, 2),
+        ((0, 0, 0, 1, 1, 1), None, "_BATCHID", 1, 2),
+        ((0, 0, 0, 1, 1, 1), None, "_BATCHID", 2, 4),
+        ((0, 0, 0, 1, 1, 1), {"attribute": 1, "propertyTable": 0}, "_FEATURE_ID_1", 2, 2),
+        ((0, 0, 0, 1, 1, 1), {"attribute": 0, "nullFeatureId": 1}, "_FEATURE_ID_0", 1, None),
+        ((3, 3, 3, 3, 3, 3), None, "_FEATURE_ID_0", 2, None),
+        ((0,) * 6, {"featureCount": 5, "texture": {}}, "", 1, (5, "a texture")),
+        ((0,) * 6, {"featureCount": 6}, "", 1, (6, "one per vertex")),
+    ],
+)
+def test_gltf_feature_ids_are_noted(tmp_path, ids, entry, name, n_meshes, note):
+    points = [*POINTS[:3], *POINTS[1:]]
+    tree = with_features(points, list(ids), entry, name)
+    tree["meshes"] *= n_meshes
+    tree["nodes"] = [{"mesh": i} for i in range(n_meshes)]
+    tree["scenes"] = [{"nodes": list(range(n_meshes))}]
+    notes = read([write_gltf(tmp_path / "a.gltf", tree)]).notes
+    shown = (note, name) if isinstance(note, int) else note
+    assert notes[1:] == ((f"a.gltf: {FEATURES.format(*shown)}",) if shown else ())
+
+
+def test_gltf_notes_what_moves_its_vertices(tmp_path):
+    tree = gltf([{"mesh": 0}, {"mesh": 0}], {"targets": [{"POSITION": 0}]})
+    tree["scenes"] = [{"nodes": [0, 1]}]
+    tree["extensionsRequired"] = ["CESIUM_RTC", "KHR_materials_unlit", "EXT_texture_webp"]
+    tree["extensions"] = {"CESIUM_RTC": {"center": [1, 2, 3]}}
+    assert read([write_gltf(tmp_path / "a.gltf", tree)]).notes[1:] == (
+        "a.gltf: CESIUM_RTC is not applied: its center [1, 2, 3] is not added to positions",
+        "a.gltf: morph targets are not applied: 1 mesh with them read as without",
+    )
+
+
 def changed(key: str, value: object) -> dict:
     tree = gltf([{"mesh": 0}])
     target: object = tree
@@ -359,6 +544,11 @@ def changed(key: str, value: object) -> dict:
         (changed("buffers/0/uri", "https://x/y.bin"), "download it first"),
         (changed("asset", {"version": "1.0"}), "glTF version 1.0; version 2 is read"),
         (changed("extensionsUsed", ["KHR_draco_mesh_compression"]), "Draco-compressed"),
+        (changed("extensionsRequired", ["EXT_mesh_gpu_instancing"]), "it places meshes by"),
+        (
+            changed("extensionsRequired", ["KHR_materials_unlit", "FB_geometry", "MSFT_lod"]),
+            "it requires FB_geometry, MSFT_lod, which is not read and may change its geometry",
+        ),
         ({"a": 1}, 'the JSON has no "asset"'),
     ],
 )
@@ -386,6 +576,11 @@ def test_gltf_refusals(tmp_path, tree, message):
 def test_shared_files(name, n_triangles, n_objects):
     mesh = read([shared(name)])
     assert (len(mesh.faces), len(mesh.object_names)) == (n_triangles, n_objects)
+
+
+def test_shared_feature_ids():
+    path = shared("cities/wageningen_7-624-528/content/1_0_0.glb")
+    assert read([path]).notes[1:] == (f"1_0_0.glb: {FEATURES.format(212, '_FEATURE_ID_0')}",)
 
 
 @pytest.mark.parametrize(

@@ -129,8 +129,20 @@ def test_byte_order_mark_and_gzip(write):
     ("text", "names", "start"),
     [
         ("f 1 2 3\n", ("house",), [0, 1]),
-        ("o A\nf 1 2 3\n", ("house",), [0, 1]),
-        ("o A\ng x\nf 1 2 3\n", ("x",), [0, 1]),
+        ("o A\nf 1 2 3\n", ("A",), [0, 1]),
+        ("o\nf 1 2 3\n", ("house",), [0, 1]),
+        ("o\ng x\nf 1 2 3\ng y\nf 1 2 3\n", ("x", "y"), [0, 1, 2]),
+        ("o A\ng x\nf 1 2 3\n", ("A",), [0, 1]),
+        ("g x\no A\nf 1 2 3\n", ("A",), [0, 1]),
+        ("o A\nf 1 2 3\ng x\nf 1 2 3\ng default\nf 1 2 3", ("A",), [0, 3]),
+        ("o A\ng x\nf 1 2 3\ng y\nf 1 2 3\ng x\nf 1 2 3", ("A/x", "A/y"), [0, 2, 3]),
+        ("o A\nf 1 2 3\ng x\nf 1 2 3\ng y\nf 1 2 3\ng\nf 1 2 3", ("A", "A/x", "A/y"), [0, 2, 3, 4]),
+        ("f 1 2 3\no A\nf 1 2 3\n", ("house", "A"), [0, 1, 2]),
+        (
+            "f 1 2 3\ng x\nf 1 2 3\no A\nf 1 2 3\ng y\nf 1 2 3",
+            ("house", "house/x", "A/x", "A/y"),
+            [0, 1, 2, 3, 4],
+        ),
         ("f 1 2 3\ng x\nf 1 2 3\n", ("default", "x"), [0, 1, 2]),
         ("g x y  # z\nf 1 2 3\ng\nf 1 2 3\n", ("x y # z", "default"), [0, 1, 2]),
         ("f 1 2 3\no A\ng x\nf 1 2 3\no B\nf 1 2 3\n", ("house", "A", "B"), [0, 1, 2, 3]),
@@ -172,6 +184,20 @@ def test_notes(write):
         '"magic" (line 15), "foo" (line 17)',
         f'{path.name}: 2 objects without faces left out: "A", "B"',
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [
+        ("g x\no A\nf 1 2 3\ng y\nf 1 2 3\n", ""),
+        ("o A\ng x\nf 1 2 3\ng y\n", '1 object without faces left out: "A/y"'),
+        ("f 1 2 3\no A\n", '1 object without faces left out: "A"'),
+        ("o A\ng\ng x\nf 1 2 3\n", ""),
+    ],
+)
+def test_notes_on_names_without_faces(write, text, note):
+    path = write(SQUARE + text)
+    assert read([path]).notes == ((f"{path.name}: {note}",) if note else ())
 
 
 @pytest.mark.parametrize(
