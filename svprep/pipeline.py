@@ -80,7 +80,8 @@ def build(
     """
     if not inputs:
         raise InputError("nothing to build: name at least one model file")
-    path = default_cache_path(inputs) if output is None else Path(output)
+    # Text, because a Path would drop the slash of a folder's name.
+    path = fspath(default_cache_path(inputs) if output is None else output)
     resolve_target(path)  # a slip of -o is told before any work, not after
     timer = _StageTimer(on_stage)
     timer.start("load")

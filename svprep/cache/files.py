@@ -34,51 +34,73 @@ LOCK_POLL_S = 0.05
 def problem_of(error: OSError, target: Path) -> EnvironmentProblem:
     """Return the one line that says why `target` could not be written."""
     reason = os.strerror(error.errno) if error.errno else " ".join(str(error).split())
+    elsewhere = "Choose another place with -o"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         what = f"the disk is full ({reason}). Free some space or choose another place with -o"
     elif error.errno == errno.EFBIG:
         what = f"the file size limit is too small ({reason}). Raise it: ulimit -f unlimited"
     elif error.errno in (errno.ENOENT, errno.ENOTDIR):
-        what = f'there is no folder "{target.parent}". Create it or choose another with -o'
+        what = _folder_problem(target.parent)
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        what = f'cannot write in the folder "{target.parent}" ({reason}). Choose another with -o'
+        what = f'no files can be made in the folder "{target.parent}" ({reason}). {elsewhere}'
     elif error.errno == errno.ENAMETOOLONG:
         what = "the name is too long. Choose a shorter one with -o"
     else:
-        what = f"cannot be written ({reason}). Choose another place with -o"
-    return EnvironmentProblem(f"{target}: {what}. Nothing was changed.")
+        what = f"{reason}. {elsewhere}"
+    return EnvironmentProblem(f"{target} cannot be written: {what}. Nothing was changed.")
+
+
+def _folder_problem(folder: Path) -> str:
+    """Return why a file in `folder` could not be made, when the system says "no such file"."""
+    if folder.is_dir():
+        return f'the folder "{folder}" takes no new files. Choose another place with -o'
+    for parent in (*reversed(folder.parents), folder):
+        if parent.exists() and not parent.is_dir():
+            return f'"{parent}" is a file, not a folder. Choose another place with -o'
+    return f'there is no folder "{folder}". Create it or choose another with -o'
 
 
 def resolve_target(path: str | os.PathLike[str]) -> Path:
     """Return the file that `path` names, symbolic links followed, if it may be replaced.
 
+    Also tries whether its folder takes new files: better told before a long
+    build than after. Pass the text that the user gave: a `Path` has lost the
+    slash at the end that names a folder.
+
     Raises
     ------
     CacheError
-        It exists and is not a regular file, or holds something else than HDF5:
-        a slip of ``-o`` must not overwrite a model.
+        It exists and is not a regular file, names a folder, or holds something
+        else than HDF5: a slip of ``-o`` must not overwrite a model.
     EnvironmentProblem
-        Its folder is missing.
+        Its folder is missing, or takes no new files.
     """
-    target = Path(os.path.realpath(path))
+    given = os.fspath(path)
+    target = Path(os.path.realpath(given))
     try:
-        mode = target.stat().st_mode
-        if not stat.S_ISREG(mode):
-            kind = "a folder" if stat.S_ISDIR(mode) else "not a regular file"
-            raise CacheError(f"{target}: is {kind}. Name a file with -o, such as NAME.svp.h5")
-        with target.open("rb") as file:
-            head = file.read(len(HDF5_SIGNATURE))
-    except FileNotFoundError as error:
-        if not target.parent.is_dir():
-            raise problem_of(error, target) from error
-        return target
+        # realpath drops a slash at the end: "sub/" would make a file "sub".
+        names_folder = os.path.basename(given) in ("", os.curdir, os.pardir)
+        mode = target.stat().st_mode if target.exists() else 0
+        if names_folder or stat.S_ISDIR(mode):
+            raise CacheError(
+                f'"{given}" names a folder. Name a file with -o, such as '
+                f"{os.path.join(given, 'NAME.svp.h5')}"
+            )
+        if mode and not stat.S_ISREG(mode):
+            raise CacheError(f"{target} is not a regular file. Choose another place with -o")
+        head = b""
+        if mode:
+            with target.open("rb") as file:
+                head = file.read(len(HDF5_SIGNATURE))
+        if head and head != HDF5_SIGNATURE:
+            raise CacheError(
+                f"{target} exists and is not a cache (expected an HDF5 file), so it is not "
+                "overwritten. Choose another name with -o, or remove it first"
+            )
+        with Temporary(target):
+            pass
     except OSError as error:
         raise problem_of(error, target) from error
-    if head and head != HDF5_SIGNATURE:
-        raise CacheError(
-            f"{target}: exists and is not a cache (expected an HDF5 file), so it is not "
-            "overwritten. Choose another name with -o, or remove it first"
-        )
     return target
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.cache.checks import Problem, problem_at
-from svprep.cache.codec import FACE_BLOCK, face_normals, next_half_edge, rows_of_half_edges
+from svprep.cache.codec import BLOCK, face_normals, next_half_edge, rows_of_half_edges
 from svprep.cache.schema import DATASETS, DatasetSpec
 from svprep.defects import DEFECTS
 from svprep.model import BOOL, NO_INDEX, U32, ComponentFlag, EdgeFlag, EdgeKind
@@ -62,8 +62,8 @@ def check_values(spec: DatasetSpec, array: NDArray[Any], sizes: Mapping[str, int
 def check_positions(t: Tables) -> list[Problem]:
     """Positions are finite, on the grid, and at most 2^24 steps from zero."""
     bad = np.zeros(len(t["mesh/positions"]), np.bool_)
-    for start in range(0, len(bad), FACE_BLOCK):
-        block = slice(start, start + FACE_BLOCK)
+    for start in range(0, len(bad), BLOCK):
+        block = slice(start, start + BLOCK)
         steps = t["mesh/positions"][block].astype(np.float64) / t.step_m
         on_grid = (steps == np.rint(steps)) & (np.abs(steps) <= MAX_STEPS)
         bad[block] = ~on_grid.all(1)
@@ -100,8 +100,8 @@ def check_faces(t: Tables) -> list[Problem]:
     vertex_start = t["objects/vertex_start"]
     foreign = np.empty(len(faces), np.bool_)
     flat = np.empty(len(faces), np.bool_)
-    for start in range(0, len(faces), FACE_BLOCK):
-        block = slice(start, start + FACE_BLOCK)
+    for start in range(0, len(faces), BLOCK):
+        block = slice(start, start + BLOCK)
         own, corner = owner[block, None], faces[block]
         outside = (corner < vertex_start[own]) | (corner >= vertex_start[own + 1])
         foreign[block] = outside.any(1)
@@ -123,8 +123,8 @@ def check_planes(t: Tables) -> list[Problem]:
     limit = (t.tolerance_m + 16 * np.finfo(np.float64).eps * reach) * length
     off = np.empty(len(faces), np.bool_)
     against = np.empty(len(faces), np.bool_)
-    for start in range(0, len(faces), FACE_BLOCK):
-        block = slice(start, start + FACE_BLOCK)
+    for start in range(0, len(faces), BLOCK):
+        block = slice(start, start + BLOCK)
         plane, corners = plane_of_face[block], faces[block]
         n = normal_of_plane[plane]
         away = np.zeros(len(plane))

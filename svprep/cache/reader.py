@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -167,7 +168,7 @@ class Cache:
     def sources(self) -> tuple[SourceFile, ...]:
         """The input files, as they were read."""
         paths, sources = self._json("source_paths", list), self._json("sources", list)
-        with damage_named(self._path, 'the attribute "sources"'):
+        with self._damage_named('the attribute "sources"'):
             return codec.decode_sources(paths, sources)
 
     @cached_property
@@ -179,7 +180,7 @@ class Cache:
     @cached_property
     def object_names(self) -> tuple[str, ...]:
         """``(n_objects,)``."""
-        with damage_named(self._path, "the table of object names"):
+        with self._damage_named("the table of object names"):
             return codec.decode_names(self.raw)
 
     @cached_property
@@ -191,32 +192,32 @@ class Cache:
     def mesh(self) -> Mesh:
         """Positions and faces, grouped by object."""
         grid = self.grid
-        with damage_named(self._path, "the mesh"):
+        with self._damage_named("the mesh"):
             return codec.decode_mesh(self.raw, grid)
 
     @cached_property
     def components(self) -> Components:
         """Connected components."""
-        with damage_named(self._path, "the table of components"):
+        with self._damage_named("the table of components"):
             return codec.decode_components(self.raw)
 
     @cached_property
     def planes(self) -> PlaneTable:
         """Plane records."""
         tolerance = float(self._numbers("planar_tolerance_m"))
-        with damage_named(self._path, "the table of planes"):
+        with self._damage_named("the table of planes"):
             return codec.decode_planes(self.raw, tolerance)
 
     @cached_property
     def edges(self) -> EdgeTable:
         """Edge records."""
-        with damage_named(self._path, "the table of edges"):
+        with self._damage_named("the table of edges"):
             return codec.decode_edges(self.raw)
 
     @cached_property
     def repair(self) -> RepairRecord:
         """What weld and repair decided."""
-        with damage_named(self._path, "the repair record"):
+        with self._damage_named("the repair record"):
             return codec.decode_repair(self.raw, self.n_objects)
 
     def prepared(self) -> Prepared:
@@ -245,46 +246,49 @@ class Cache:
         if path in self._kept:
             return self._kept[path]
         if not self._file:
-            raise CacheError(f'{self._path}: was closed before "{path}" was read. Open it again')
-        with damage_named(self._path, f'the dataset "{path}"'):
+            raise CacheError(f'{self._path} was closed before "{path}" was read. Open it again')
+        with self._damage_named(f'the dataset "{path}"'):
             array = read_raw(self._file[path])
             expected = self._digest_of.get(path)
             if expected and item_digest(path, SPEC_OF_PATH[path].dtype, array) != expected:
-                raise ValueError("its SHA-256 is not the one in the digest table")
+                raise ValueError("its bytes are not those that were written")
         if path in SHARED:
             self._kept[path] = array
         return array
 
+    def _damage_named(self, what: str) -> AbstractContextManager[None]:
+        return damage_named(self._path, what, self._file)
+
     def _check_declared(self, spec: DatasetSpec) -> int:
-        with damage_named(self._path, f'the dataset "{spec.path}"'):
+        with self._damage_named(f'the dataset "{spec.path}"'):
             dataset = stored_dataset(self._file, spec.path)
             if problem := shape_problem(spec, dataset.dtype, dataset.shape, self._sizes):
                 raise ValueError(problem)
             return int(dataset.nbytes)
 
     def _read_digests(self) -> dict[str, str]:
-        with damage_named(self._path, f'the dataset "{DIGESTS_PATH}"'):
+        with self._damage_named(f'the dataset "{DIGESTS_PATH}"'):
             table = read_digest_table(self._file)
             if [path for path, _ in table] != [spec.path for spec in DATASETS]:
                 raise ValueError("it does not list the declared datasets in their order")
         values = {spec.name: self._value(spec.name) for spec in ATTRIBUTES}
-        with damage_named(self._path, "the digest table or an attribute"):
+        with self._damage_named("the digest table or an attribute"):
             check_root(values, table)
         return dict(table)
 
     def _value(self, name: str) -> bytes | NDArray[np.generic]:
-        with damage_named(self._path, f'the attribute "{name}"'):
+        with self._damage_named(f'the attribute "{name}"'):
             return attribute_value(self._file, ATTRIBUTE_OF_NAME[name])
 
     def _numbers(self, name: str) -> NDArray[np.float64]:
         return np.array(self._value(name), np.float64)
 
     def _text(self, name: str) -> str:
-        with damage_named(self._path, f'the attribute "{name}"'):
+        with self._damage_named(f'the attribute "{name}"'):
             return bytes(self._value(name)).decode()
 
     def _json(self, name: str, kind: type) -> object:
-        with damage_named(self._path, f'the attribute "{name}"'):
+        with self._damage_named(f'the attribute "{name}"'):
             value = json.loads(self._text(name))
             if not isinstance(value, kind):
                 raise ValueError(f"expected a JSON {kind.__name__}, got {type(value).__name__}")

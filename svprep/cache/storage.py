@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import shlex
 import stat
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -25,7 +28,6 @@ from svprep.cache.schema import (
 )
 from svprep.errors import CacheError
 
-REBUILD = "Build it again: svprep build"
 DAMAGE = (
     OSError,
     RuntimeError,
@@ -40,32 +42,60 @@ DAMAGE = (
 """What h5py, NumPy and json raise on damaged bytes."""
 
 
+SUPERBLOCK_V2 = struct.Struct("<8sBBBBQQQQL")
+"""Signature, version, three sizes and flags, base, extension, end of file, root, checksum."""
+MAX_NAMED_SOURCES = 4
+
+
+def rebuild_advice(path: Path, file: h5py.File | None = None) -> str:
+    """Return the sentence that names the command to build the cache `path` again.
+
+    It names the sources, and a weld tolerance, where `file` still tells them.
+    """
+    inputs, options = ["SOURCE"], ""
+    with contextlib.suppress(*DAMAGE):
+        if file:
+            found = json.loads(bytes(attribute_value(file, ATTRIBUTE_OF_NAME["source_paths"])))
+            is_text = isinstance(found, list) and all(isinstance(p, str) for p in found)
+            if is_text and 0 < len(found) <= MAX_NAMED_SOURCES:
+                inputs = [shlex.quote(p) for p in found]
+            config = json.loads(bytes(attribute_value(file, ATTRIBUTE_OF_NAME["config"])))
+            if tolerance := float(config.get("weld_tolerance_m", 0.0)):
+                options = f" --weld-tolerance {tolerance!r}"
+    command = f"svprep build {' '.join(inputs)} -o {shlex.quote(str(path))}{options}"
+    return f"Build it again: {command}"
+
+
 @contextlib.contextmanager
-def damage_named(path: Path, what: str) -> Iterator[None]:
+def damage_named(path: Path, what: str, file: h5py.File | None = None) -> Iterator[None]:
     """Turn whatever damaged bytes make a library raise into one `CacheError`."""
     try:
         yield
-    except CacheError as error:
-        raise CacheError(f"{path}: {what}: {error}. {REBUILD}") from error
+    except CacheError:
+        raise  # it names the file, the reason and the next command
+    except KeyError as error:
+        reason = f"{what} is missing or cannot be read"
+        raise CacheError(f"{path} is damaged: {reason}. {rebuild_advice(path, file)}") from error
     except DAMAGE as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise CacheError(
-            f"{path}: {what} is damaged ({reason}). See what else: svprep validate {path}. "
-            f"{REBUILD}"
-        ) from error
+        # HDF5's own words say nothing to a user; they stay in the cause.
+        is_ours = isinstance(error, ValueError) and not str(error).startswith("Unable to")
+        reason = " ".join(str(error).split()) if is_ours else ""
+        reason = f"{what} cannot be used ({reason})" if reason else f"{what} cannot be read"
+        raise CacheError(f"{path} is damaged: {reason}. {rebuild_advice(path, file)}") from error
 
 
 def open_hdf5(path: Path) -> h5py.File:
     """Open a cache's HDF5 file and check its magic and schema version, nothing else."""
-    _check_is_hdf5(path)
+    head = _read_head(path)
     try:
         # No HDF5 lock: it would fail in folders that cannot be written. None is
         # needed, because caches are replaced and never changed in place.
         file = h5py.File(path, "r", locking=False)
     except DAMAGE as error:
-        reason = " ".join(str(error).split())
-        what = "truncated" if "truncated" in reason else "damaged"
-        raise CacheError(f"{path}: the file is {what} ({reason}). {REBUILD}") from error
+        # HDF5 says "truncated" only after the superblock's checksum was right.
+        is_cut = "truncated" in str(error) or len(head) < SUPERBLOCK_V2.size
+        reason = _cut_off(head, path) if is_cut else "is damaged: HDF5 cannot open it"
+        raise CacheError(f"{path} {reason}. {rebuild_advice(path)}") from error
     try:
         _check_header(file, path)
     except BaseException:
@@ -74,46 +104,73 @@ def open_hdf5(path: Path) -> h5py.File:
     return file
 
 
-def _check_is_hdf5(path: Path) -> None:
+def _cut_off(head: bytes, path: Path) -> str:
+    """Return ``"is cut off: 200,000 of 1,186,492 bytes"``."""
+    n_bytes = path.stat().st_size
+    if len(head) == SUPERBLOCK_V2.size:
+        _, version, size_of_offsets, *_, base, _, end, _, _ = SUPERBLOCK_V2.unpack(head)
+        if version in (2, 3) and size_of_offsets == 8:
+            return f"is cut off: {n_bytes:,} of {base + end:,} bytes"
+    return f"is cut off after {n_bytes:,} bytes"
+
+
+def _read_head(path: Path) -> bytes:
+    """Return the file's first bytes, at most a superblock, if they are those of HDF5."""
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):
-            raise CacheError(f"{path}: is {'a folder' if stat.S_ISDIR(mode) else 'not a file'}")
+            kind = "a folder" if stat.S_ISDIR(mode) else "not a regular file"
+            raise CacheError(f"{path} is {kind}. Name a cache, such as NAME.svp.h5")
         with path.open("rb") as file:
-            head = file.read(len(HDF5_SIGNATURE))
+            head = file.read(SUPERBLOCK_V2.size)
     except FileNotFoundError:
         raise CacheError(
-            f"{path}: there is no such file. Make it: svprep build INPUT -o {path}"
+            f"{path}: there is no such file. Make it: svprep build SOURCE -o "
+            f"{shlex.quote(str(path))}"
         ) from None
     except OSError as error:
-        raise CacheError(f"{path}: cannot be read ({error.strerror})") from error
-    if head != HDF5_SIGNATURE:
-        got = "an empty file" if not head else f"a file that begins with {head!r}"
+        raise CacheError(f"{path} cannot be read ({error.strerror})") from error
+    if not head.startswith(HDF5_SIGNATURE):
         raise CacheError(
-            f"{path}: is not a cache: expected an HDF5 file, got {got}. "
-            "To make a cache of a model: svprep build MODEL"
+            f"{path} is not a cache: {_what_begins_with(head[: len(HDF5_SIGNATURE)])}. "
+            "Make one of a model: svprep build MODEL"
         )
+    return head
+
+
+def _what_begins_with(head: bytes) -> str:
+    """Return ``'expected an HDF5 file, got one that begins with "v 0 0 0"'``."""
+    if not head:
+        return "it is empty"
+    if HDF5_SIGNATURE.startswith(head):
+        return f"it ends after {len(head)} bytes"
+    text = head.decode("ascii", "replace").strip()
+    is_text = bool(text) and text.isascii() and text.isprintable()
+    got = f'"{text}"' if is_text else f"the bytes {head.hex(' ')}"
+    return f"expected an HDF5 file, got one that begins with {got}"
 
 
 def _check_header(file: h5py.File, path: Path) -> None:
-    with damage_named(path, "the file's header"):
+    with damage_named(path, "the file's header", file):
         has_magic = "magic" in file.attrs
         is_ours = has_magic and attribute_value(file, ATTRIBUTE_OF_NAME["magic"]) == MAGIC.encode()
     if not is_ours:
         raise CacheError(
-            f"{path}: is an HDF5 file but not a svprep cache (it has no attribute magic = "
-            f'"{MAGIC}"). To make one: svprep build MODEL'
+            f"{path} is an HDF5 file, but not a svprep cache (it has no attribute magic = "
+            f'"{MAGIC}"). Make one of a model: svprep build MODEL'
         )
-    with damage_named(path, 'the attribute "schema_version"'):
+    with damage_named(path, 'the attribute "schema_version"', file):
         schema = int(file.attrs["schema_version"])
     if schema == SCHEMA_VERSION:
         return
     producer = "another version"
     with contextlib.suppress(*DAMAGE):
-        producer = bytes(attribute_value(file, ATTRIBUTE_OF_NAME["producer_version"])).decode()
-    advice = "Upgrade svprep" if schema > SCHEMA_VERSION else REBUILD
+        stored = bytes(attribute_value(file, ATTRIBUTE_OF_NAME["producer_version"]))
+        producer = f"svprep {stored.decode()}"
+    newer = "Upgrade svprep: python3 -m pip install --upgrade svprep"
+    advice = newer if schema > SCHEMA_VERSION else rebuild_advice(path, file)
     raise CacheError(
-        f"{path}: written by svprep {producer} with schema {schema}; this svprep reads schema "
+        f"{path} was written by {producer} with schema {schema}; this svprep reads schema "
         f"{SCHEMA_VERSION}. {advice}"
     )
 
@@ -146,7 +203,7 @@ def stored_dataset(file: h5py.File, path: str) -> h5py.Dataset:
     for name in filter(None, (group, path)):
         link = file.get(name, getlink=True)
         if link is None:
-            raise KeyError(f'"{name}" is missing')
+            raise KeyError(name)
         if not isinstance(link, h5py.HardLink):
             raise ValueError(f'"{name}" is a link, expected it in the file itself')
     dataset = file[path]
@@ -187,4 +244,5 @@ def check_root(
         ("root_digest", root_digest(content, values)),
     ):
         if values[name] != expected.encode():
-            raise ValueError(f"expected {name} {expected[:12]}..., got {values[name]!r:.16}...")
+            got = bytes(values[name]).decode("ascii", "replace")
+            raise ValueError(f"{name} begins with {got[:12]}, expected {expected[:12]}")

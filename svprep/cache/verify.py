@@ -95,13 +95,13 @@ def _unknown_items(file: h5py.File) -> list[Problem]:
             problems.append(Problem("V104", group or "the root group", _reason(error)))
             continue
         unknown = [n for n in names if n not in declared and not (not group and n in groups)]
-        problems += [Problem("V103", name, "is not part of the schema") for name in unknown]
+        problems += [Problem("V103", name, "it is not part of the schema") for name in unknown]
     try:
         known = {spec.name for spec in ATTRIBUTES}
         extra = [name for name in file.attrs if name not in known]
     except DAMAGE as error:
         return [*problems, Problem("V104", "the root attributes", _reason(error))]
-    return problems + [Problem("V103", f"attribute {n}", "is not in the schema") for n in extra]
+    return problems + [Problem("V103", f"attribute {n}", "it is not in the schema") for n in extra]
 
 
 def _attributes(file: h5py.File) -> tuple[Values, list[Problem]]:
@@ -111,7 +111,7 @@ def _attributes(file: h5py.File) -> tuple[Values, list[Problem]]:
         where = f"attribute {spec.name}"
         try:
             if spec.name not in file.attrs:
-                problems.append(Problem("V101", where, f"is missing ({spec.meaning})"))
+                problems.append(Problem("V101", where, f"it is missing ({spec.meaning})"))
                 continue
             values[spec.name] = attribute_value(file, spec)
         except ValueError as error:
@@ -177,7 +177,7 @@ def _datasets(
                 continue
             arrays[spec.path] = read_raw(dataset)
         except KeyError:
-            problems.append(Problem("V101", spec.path, "is missing"))
+            problems.append(Problem("V101", spec.path, "it is missing"))
         except ValueError as error:
             problems.append(Problem("V102", spec.path, _reason(error)))
         except DAMAGE as error:
@@ -195,14 +195,14 @@ def _digests(
     try:
         table = read_digest_table(file)
     except KeyError:
-        return set(), [Problem("V101", DIGESTS_PATH, "is missing")]
+        return set(), [Problem("V101", DIGESTS_PATH, "it is missing")]
     except ValueError as error:
         return set(), [Problem("V102", DIGESTS_PATH, _reason(error))]
     except DAMAGE as error:
         return set(), [Problem("V104", DIGESTS_PATH, _reason(error))]
     problems = []
     if [name for name, _ in table] != [spec.path for spec in DATASETS]:
-        message = "does not list the declared datasets in their order"
+        message = "it does not list the declared datasets in their order"
         problems.append(Problem("V202", DIGESTS_PATH, message))
     if len(values) == len(ATTRIBUTES):
         try:
@@ -217,6 +217,6 @@ def _digests(
     damaged = {path for path in paths if path in expected and got[path] != expected[path]}
     for path in paths:
         if path in damaged:
-            message = f"expected SHA-256 {expected[path][:12]}..., got {got[path][:12]}..."
+            message = f"its SHA-256 begins with {got[path][:12]}, expected {expected[path][:12]}"
             problems.append(Problem("V201", path, message))
     return damaged, problems

@@ -130,7 +130,7 @@ def write_cache(
             sync_folder(target.parent)
         except OSError as error:
             raise EnvironmentProblem(
-                f"{target}: written, but its folder could not be synced to the disk ({error}). "
+                f"{target} was written, but its folder could not be synced to the disk ({error}). "
                 "A power failure now may bring the older cache back; build again"
             ) from error
         at("folder_synced")

@@ -128,7 +128,7 @@ def test_output_that_cannot_be(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     model = tmp_path / "ok.obj"
     model.write_text(TRIANGLE)
     before = model.read_bytes()
-    for target in (model, tmp_path, tmp_path / "no" / "such" / "x.svp.h5"):
+    for target in (model, tmp_path, tmp_path / "no" / "such" / "x.svp.h5", f"{tmp_path}/sub/"):
         assert run(["build", str(model), "-o", str(target)]) == 1
         error = capfd.readouterr().err
         assert error.count("\n") == 1

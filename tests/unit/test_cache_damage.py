@@ -95,16 +95,45 @@ def test_a_flipped_byte_in_a_dataset_is_named(path: str, copy: Path) -> None:
         assert [(p.code, p.where) for p in problems] == [("V201", path)]
         with open_cache(copy) as cache, pytest.raises(CacheError, match=path) as caught:
             cache.prepared()
-        assert "\n" not in str(caught.value)
+        assert str(caught.value) == (
+            f'{copy} is damaged: the dataset "{path}" cannot be used (its bytes are not those that '
+            "were written). Build it again: svprep build models/sample.obj "
+            f"'models/zweite Datei.ply' -o {copy}"
+        )
+
+
+def test_the_advice_names_what_it_can(tmp_path: Path) -> None:
+    path = tmp_path / "a cache.h5"
+    sample = strip_and_tetrahedron()
+    many = replace(sample, sources=sample.sources * 3)
+    welded = replace(many, config={"weld_tolerance_m": 0.01})
+    for prepared, options in ((many, ""), (welded, " --weld-tolerance 0.01")):
+        write_cache(prepared, path)
+        with h5py.File(path, "r+", libver=schema.LIBVER) as file:
+            del file["planes/d"]
+        with pytest.raises(CacheError) as caught:
+            open_cache(path)
+        assert str(caught.value) == (
+            f'{path} is damaged: the dataset "planes/d" is missing or cannot be read. '
+            f"Build it again: svprep build SOURCE -o '{path}'{options}"
+        )
 
 
 def test_truncated_files_are_refused(copy: Path) -> None:
     data = copy.read_bytes()
-    for length in np.linspace(0, len(data) - 1, 50).astype(int).tolist():
+    for length in [1, 8, 47, 48, *np.linspace(0, len(data) - 1, 50).astype(int).tolist()]:
         copy.write_bytes(data[:length])
         with pytest.raises(CacheError) as caught:
             open_cache(copy)
-        assert "\n" not in str(caught.value)
+        if length < 8:
+            assert "is not a cache: it " in str(caught.value)
+        else:
+            of = (
+                f": {length:,} of {len(data):,} bytes" if length >= 48 else f" after {length} bytes"
+            )
+            assert str(caught.value) == (
+                f"{copy} is cut off{of}. Build it again: svprep build SOURCE -o {copy}"
+            )
         assert found_in(copy) == ["CacheError"]
 
 
@@ -129,14 +158,18 @@ def test_foreign_files(tmp_path: Path) -> None:
     with pytest.raises(CacheError, match="folder"):
         open_cache(tmp_path)
     path.write_bytes(b"v 0 0 0\n")
-    with pytest.raises(CacheError, match="svprep build MODEL"):
+    with pytest.raises(CacheError, match=r'begins with "v 0 0 0".*svprep build MODEL') as caught:
+        open_cache(path)
+    assert str(caught.value).startswith(f"{path} is not a cache: ")
+    path.write_bytes(b"\0\1\2")
+    with pytest.raises(CacheError, match="the bytes 00 01 02"):
         open_cache(path)
     with h5py.File(path, "w") as file:
         file["data"] = np.arange(3)
     with pytest.raises(CacheError, match="not a svprep cache"):
         open_cache(path)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(CacheError, match="not a file"):
+    with pytest.raises(CacheError, match="not a regular file"):
         open_cache(tmp_path / "pipe")
 
 

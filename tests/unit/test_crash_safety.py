@@ -216,7 +216,7 @@ def use_unprivileged(path: Path) -> None:
     try:
         write_cache(NEW, path)
     except EnvironmentProblem as error:
-        is_clear = "cannot write in the folder" in str(error) and "\n" not in str(error)
+        is_clear = "no files can be made in the folder" in str(error) and "\n" not in str(error)
         with open_cache(path) as cache:  # reading needs no lock and no right to write
             assert_same(cache.prepared(), OLD)
         status = 3 if is_clear else 4
@@ -233,10 +233,14 @@ def test_targets_that_cannot_be(tmp_path: Path) -> None:
     model.write_text("v 0 0 0\n")
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    cases: list[tuple[Path, type[SvprepError], str]] = [
+    cases: list[tuple[Path | str, type[SvprepError], str]] = [
         (tmp_path / "none" / "a.h5", EnvironmentProblem, "there is no folder"),
-        (model / "a.h5", EnvironmentProblem, "there is no folder"),
-        (tmp_path, CacheError, "is a folder"),
+        (model / "a.h5", EnvironmentProblem, "is a file, not a folder"),
+        (model / "b" / "a.h5", EnvironmentProblem, r"model\.obj\" is a file, not a folder"),
+        (tmp_path, CacheError, "names a folder"),
+        (f"{tmp_path}/sub/", CacheError, r"sub/\" names a folder.*sub/NAME\.svp\.h5"),
+        (f"{tmp_path}/sub/.", CacheError, "names a folder"),
+        (Path("/proc/a.h5"), EnvironmentProblem, 'folder "/proc" takes no new files'),
         (pipe, CacheError, "not a regular file"),
         (Path("/dev/null"), CacheError, "not a regular file"),
         (model, CacheError, "not overwritten"),
@@ -247,6 +251,9 @@ def test_targets_that_cannot_be(tmp_path: Path) -> None:
         with pytest.raises(kind, match=message) as caught:
             write_cache(NEW, path)
         assert "\n" not in str(caught.value)
+        assert names_in(tmp_path) == before
+        with pytest.raises(kind, match=message):  # a build asks this before it begins
+            files.resolve_target(path)
         assert names_in(tmp_path) == before
     assert model.read_text() == "v 0 0 0\n"
 

@@ -7,35 +7,40 @@ import re
 import runpy
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from svprep import __version__
+from svprep import __version__, pipeline
 from svprep.cache.schema import ATTRIBUTES, DATASETS
 from svprep.cache.writer import write_cache
 from svprep.defects import DEFECTS
-from svprep.model import NO_INDEX
+from svprep.facing import facing
+from svprep.ingest import read
+from svprep.model import NO_INDEX, EdgeFlag, Prepared
 from tests.unit.cache_samples import strip_and_tetrahedron
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "FORMAT.md").read_text(encoding="utf-8")
+SILHOUETTES, READER = re.findall(r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+"""The two blocks of code."""
 
 
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    (block,) = re.findall(r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
     path = tmp_path_factory.mktemp("reader") / "reader.py"
-    path.write_text(block, encoding="utf-8")
+    path.write_text(READER, encoding="utf-8")
     return path
 
 
-def run(reader: Path, cache: Path) -> subprocess.CompletedProcess[str]:
+def run(reader: Path, *cache: Path) -> subprocess.CompletedProcess[str]:
     # -I: nothing of this checkout can be imported, only what is installed.
     return subprocess.run(
-        [sys.executable, "-I", "-W", "error", str(reader), str(cache)],
+        [sys.executable, "-I", "-W", "error", str(reader), *map(str, cache)],
         capture_output=True,
         text=True,
         check=False,
@@ -55,7 +60,8 @@ def test_generated_parts_are_in_step() -> None:
 
 def test_the_reader_is_short_and_needs_only_h5py_and_numpy(reader: Path) -> None:
     code = reader.read_text(encoding="utf-8")
-    assert len(code.splitlines()) <= 150
+    assert len(code.splitlines()) < 150
+    assert len(SILHOUETTES.splitlines()) <= 20
     imported = set(re.findall(r"^\s*(?:import|from) (\w+)", code, re.MULTILINE))
     assert imported <= {"h5py", "numpy"} | sys.stdlib_module_names
 
@@ -100,4 +106,109 @@ def test_the_reader_finds_damage(reader: Path, tmp_path: Path) -> None:
     path.write_bytes(data)
     result = run(reader, path)
     assert result.returncode == 1
-    assert "the dataset planes/d is damaged" in result.stderr
+    assert "is damaged: the dataset planes/d" in result.stderr
+
+
+def test_the_reader_answers_misuse_in_one_line(reader: Path, tmp_path: Path) -> None:
+    whole, bad = tmp_path / "a.svp.h5", tmp_path / "bad.h5"
+    write_cache(strip_and_tetrahedron(), whole)
+    result = run(reader)
+    assert result.stderr == "Read a svprep cache with h5py and NumPy alone: python3 reader.py " + (
+        "NAME.svp.h5\n"
+    )
+    data = whole.read_bytes()
+    contents = [b"", b"v 0 0 0\n", data[:30], data[: len(data) // 2]]
+    contents += [data[:at] + b"\xff\xfe" + data[at + 2 :] for at in range(50, len(data), 2999)]
+    for content in contents:
+        bad.write_bytes(content)
+        result = run(reader, bad)
+        if result.returncode == 0:  # a byte that nothing reads
+            continue
+        assert result.returncode == 1
+        assert result.stderr.startswith(f"{bad} ")
+        assert result.stderr.count("\n") == 1, result.stderr
+    for path in (tmp_path, tmp_path / "none.h5"):
+        result = run(reader, path)
+        assert result.returncode == 1
+        assert result.stderr.count("\n") == 1, result.stderr
+
+
+def sides(prepared: Prepared, path: Path, light: np.ndarray) -> np.ndarray:
+    """Return the multiplicities that FORMAT.md's two blocks of code read from a cache."""
+    names: dict[str, Any] = {"__name__": "reader"}
+    exec(READER + SILHOUETTES, names)
+    write_cache(prepared, path)
+    _, data = names["read_file"](path)
+    faces = data["mesh/face_corners"].reshape(-1, 3)
+    rows = names["edge_rows"](data["mesh/face_corners"], data["edges/half_edges"])
+    record = data["planes/face"], data["planes/d"]
+    planes = names["plane_records"](data["mesh/positions"], faces, *record)
+    assert np.array_equal(rows, prepared.edges.rows)
+    assert np.array_equal(planes, prepared.planes.planes)
+    m: np.ndarray = names["multiplicities"](data, planes, rows, light)
+    assert m.dtype == np.int8
+    return m
+
+
+def light_caps(prepared: Prepared, s: np.ndarray, start: int, stop: int) -> Counter[Any]:
+    """Return how often the faces `start` to `stop` that count run along each edge."""
+    along: Counter[Any] = Counter()
+    for face in range(start, stop):
+        for i in range(3):
+            a, b = prepared.mesh.faces[face, [i, (i + 1) % 3]].tolist()
+            along[min(a, b), max(a, b)] += int(s[face]) * (1 if a < b else -1)
+    return along
+
+
+MODELS = (
+    "box_lit_from_inside",
+    "clean_cube",
+    "mobius_strip",
+    "near_coplanar_wall",
+    "nested_solids",
+    "three_faces_on_edge",
+)
+
+
+@pytest.mark.parametrize("model", ["sample", *MODELS])
+def test_the_formulas_give_closed_volumes(model: str, tmp_path: Path) -> None:
+    prepared = strip_and_tetrahedron()
+    if model != "sample":
+        source = read([ROOT / "data" / "conformance" / f"{model}.obj"])
+        prepared = pipeline.prepare(source, pipeline.BuildConfig())
+    mesh, parts, rows = prepared.mesh, prepared.components, prepared.edges.rows
+    centre = mesh.positions[mesh.faces[-1]].mean(axis=0)
+    inside = mesh.positions[mesh.faces[parts.face_start[-2] :]].mean(axis=(0, 1))
+    lights = [
+        [0, 0, 1, 0],  # edge-on to every wall
+        [0.48, -0.6, 0.64, 0],
+        [*(centre + 100 * np.array([1, 2, 3])), 1],
+        [*inside, 1],
+        [0.1, 0.2, 0.3, 1],
+    ]
+    n_closed = 0
+    for light in np.array(lights, np.float64):
+        m = sides(prepared, tmp_path / "a.svp.h5", light)
+        s = facing(prepared.planes.planes, light)[prepared.planes.plane_of_face]
+        assert not m[prepared.edges.flags & EdgeFlag.PLANAR != 0].any()
+        for i, flags in enumerate(parts.flags):
+            own = slice(parts.edge_start[i], parts.edge_start[i + 1])
+            first, last = parts.face_start[i], parts.face_start[i + 1]
+            corners = mesh.positions[mesh.faces[first:last].reshape(-1)]
+            is_inside = light[3] and np.all(
+                (np.float32(light[:3]) >= corners.min(0))
+                & (np.float32(light[:3]) <= corners.max(0))
+            )
+            is_closed = bool(flags & 2) and not is_inside
+            n_closed += is_closed
+            got: Counter[Any] = Counter()
+            for (v0, v1), n in zip(rows[own, :2].tolist(), m[own].tolist(), strict=True):
+                got[v0, v1] += n
+            # A side runs against the light cap at their common edge, as often as the cap.
+            assert got == light_caps(prepared, np.maximum(s, 0) if is_closed else s, first, last)
+            v0, v1 = rows[own, :2].astype(np.int64).T
+            size = len(mesh.positions)
+            starts, ends = (np.bincount(v, m[own], size) for v in (v0, v1))
+            assert np.array_equal(starts, ends)
+            assert np.abs(m[own]).max() <= (1 if is_closed else 2)
+    assert bool(n_closed) == bool((parts.flags & 2).any())
