@@ -12,9 +12,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import svprep.parallel
-from svprep import planes as planes_module
 from svprep import reference
 from svprep.defects import DEFECTS, Code
+from svprep.facing import facing as facing_of_planes
 from svprep.model import NO_INDEX, ComponentFlag, EdgeFlag, EdgeKind, SourceMesh
 from svprep.repair.stage import repair
 from tests.property.meshes import (
@@ -42,7 +42,7 @@ RAYS = np.array([[0.5773, 0.2137, 0.7881], [-0.3311, 0.8119, -0.4810], [0.1234, 
 
 def facing_of_face(built: Built, light: np.ndarray) -> np.ndarray:
     """Each face's facing, from its plane record."""
-    return planes_module.facing(built.planes.planes, light)[built.planes.plane_of_face]
+    return facing_of_planes(built.planes.planes, light)[built.planes.plane_of_face]
 
 
 def raw_of_repaired(built: Built) -> np.ndarray:
