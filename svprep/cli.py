@@ -8,6 +8,7 @@ messages and progress to standard error; ``--json`` prints one object.
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import sys
@@ -187,6 +188,9 @@ def main() -> None:
 
 def run(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit status (DESIGN section 6)."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a name that the locale cannot show is escaped
+            stream.reconfigure(errors="backslashreplace")
     try:
         result = typer.main.get_command(app).main(
             args=arguments, prog_name="svprep", standalone_mode=False
@@ -230,10 +234,16 @@ def run(arguments: list[str] | None = None) -> int:
 
 def _complain(text: str) -> None:
     """Write one line to standard error, if there is one; control characters are escaped."""
-    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     if sys.stderr is not None:
         with contextlib.suppress(OSError):
-            print(f"svprep: {line}", file=sys.stderr)
+            print(f"svprep: {_plain(text)}", file=sys.stderr)
+
+
+def _plain(text: str) -> str:
+    """Return `text` on one line, without what would steer a terminal."""
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
+    )
 
 
 def _silence_output() -> None:
@@ -371,7 +381,7 @@ def _print_counts(summary: dict[str, Any]) -> None:
     for label, count in summary["defects"].items():
         print(f"found    {count:>10,}  {label}")
     for note in summary["notes"]:
-        print(f"note     {note}")
+        print(f"note     {_plain(note)}")
 
 
 def _print_build(summary: dict[str, Any]) -> None:

@@ -24,6 +24,11 @@ from numpy.typing import NDArray
 NO_INDEX: Final = 0xFFFFFFFF
 """The one sentinel of every uint32 index: no face, no edge, no object."""
 
+MOST_TILT_RAD: Final = 2e-4
+"""[rad]: a face shares a plane record only within this tilt. A face's own facing and
+its record's then differ only for a light that grazes both this closely, which is
+the angle below which no shadow is decidable."""
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -173,7 +178,8 @@ class PlaneTable:
     plane_of_face: U32
     """``(n_faces,)``"""
     tolerance_m: float
-    """[m]: no vertex of a face lies farther from its record's plane."""
+    """[m]: no vertex of a face lies farther from its record's plane. Nor is the
+    face tilted against it by more than `MOST_TILT_RAD`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from svprep.kernels.surface import face_normals, grow_planes, shape_hashes
-from svprep.model import F64, I32, Grid, Mesh, PlaneTable
+from svprep.model import F64, I32, MOST_TILT_RAD, Grid, Mesh, PlaneTable
 from svprep.repair.grid import grid_coordinates
 from svprep.repair.stage import Repaired
 
@@ -18,20 +18,24 @@ def default_planar_tolerance_m(grid: Grid) -> float:
     return max(4.0 * grid.step_m, min(1e-3, 16.0 * grid.step_m))
 
 
-def build_planes(repaired: Repaired, tolerance_m: float | None = None) -> PlaneTable:
+def build_planes(
+    repaired: Repaired, tolerance_m: float | None = None, most_tilt_rad: float = MOST_TILT_RAD
+) -> PlaneTable:
     """Return a plane record for every face, shared where connected faces are coplanar.
 
     The record is the plane of one face (the seed), taken in order of falling
-    area; it spreads over paired edges to faces that turn the same way and whose
-    corners lie within the tolerance of the seed's own plane, so it cannot
-    drift. Ties in area are broken by shape and place, so that records do not
-    depend on the order of faces.
+    area; it spreads over paired edges to faces that are tilted against it by no
+    more than `most_tilt_rad` and whose corners lie within the tolerance of the
+    seed's own plane, so it cannot drift. Ties in area are broken by shape and
+    place, so that records do not depend on the order of faces.
 
     Parameters
     ----------
     repaired : Repaired
     tolerance_m : float, optional
         [m]; `default_planar_tolerance_m` of the grid if None.
+    most_tilt_rad : float
+        [rad]; a cache is built with the default.
 
     Notes
     -----
@@ -51,6 +55,7 @@ def build_planes(repaired: Repaired, tolerance_m: float | None = None) -> PlaneT
         repaired.mate,
         _seed_order(mesh, points, normals),
         tolerance_m / mesh.grid.step_m,
+        most_tilt_rad,
         seed_of_face,
     )
     lowest = np.full(len(mesh.faces), len(mesh.faces), np.int32)

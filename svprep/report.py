@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -51,17 +52,37 @@ def check_report_path(path: Path, others: Sequence[str | PathLike[str]] = ()) ->
         raise InputError(f"{path}: a report is .json or .csv; name it so")
     if not path.resolve().parent.is_dir():
         raise EnvironmentProblem(f'{path}: there is no folder "{path.parent}" for the report')
-    if path.resolve() in [Path(other).resolve() for other in others]:
-        raise InputError(f"{path} is an input or the cache itself; name the report otherwise")
+    for other in map(Path, others):
+        if path.resolve() == other.resolve() or (
+            path.exists() and other.exists() and path.samefile(other)
+        ):
+            raise InputError(f"{path} is an input or the cache itself; name the report otherwise")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path} is not a regular file; name the report otherwise")
+    if path.exists() and path.stat().st_size and not _is_report(path):
+        raise InputError(
+            f"{path} exists and is not a report of svprep, so it is not overwritten. "
+            f"Choose another name, or remove it first"
+        )
+
+
+def _is_report(path: Path) -> bool:
+    """Whether a file begins as a report does."""
+    with path.open("rb") as file:
+        head = file.read(64)
+    return head.startswith((b"object_index,object,source,", b'{\n "sources": ['))
 
 
 def write_report(prepared: Prepared, path: Path) -> None:
     """Write the per-object report as JSON or CSV, by the suffix of `path`."""
     check_report_path(path)
     text = to_json(prepared) if path.suffix.lower() == ".json" else to_csv(prepared)
+    whole = path.with_name(f".{path.name}.tmp-{os.getpid()}")
     try:
-        path.write_text(text, encoding="utf-8", errors="surrogateescape")
+        whole.write_text(text, encoding="utf-8", errors="surrogateescape")
+        whole.replace(path)
     except OSError as error:
+        whole.unlink(missing_ok=True)
         raise EnvironmentProblem(
             f"{path}: the report cannot be written: {error.strerror}. The cache was written"
         ) from error
@@ -116,8 +137,8 @@ def to_json(prepared: Prepared) -> str:
         "notes": list(prepared.notes),
         "defects": total_counts(prepared),
     }
-    lines = ",\n".join(json.dumps(e, ensure_ascii=False) for e in _object_entries(prepared))
-    text = json.dumps(head, indent=1, ensure_ascii=False).removesuffix("\n}")
+    lines = ",\n".join(json.dumps(e) for e in _object_entries(prepared))
+    text = json.dumps(head, indent=1).removesuffix("\n}")
     return f'{text},\n "objects": [\n{lines}\n]\n}}\n'
 
 
@@ -129,7 +150,7 @@ def to_csv(prepared: Prepared) -> str:
     head += ["components", "closed", "solid"]
     rows.writerow((*head, "code", "defect", "count", "action", "source_faces"))
     for entry in _object_entries(prepared):
-        start = [entry[name] for name in head]
+        start = [_not_a_formula(entry[name]) for name in head]
         for found in entry["findings"]:
             faces = found["source_faces"]
             listed = " ".join(map(str, faces[:FACES_IN_CSV]))
@@ -141,6 +162,11 @@ def to_csv(prepared: Prepared) -> str:
         if not entry["findings"]:
             rows.writerow([*start, "", "", "", "", ""])
     return out.getvalue()
+
+
+def _not_a_formula(cell: object) -> object:
+    """Return a cell that a spreadsheet shows instead of computing."""
+    return f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
 
 
 def _object_entries(prepared: Prepared) -> Iterator[dict[str, Any]]:

@@ -24,7 +24,7 @@ SIGNATURES: dict[str, str] = {
         "(u4[:,::1],i4[::1],i8[::1],i4[::1],i8[::1],u4[::1],u4[:,::1],u1[::1])"
     ),
     "half_edges.count_edge_rows": "(u4[:,::1],i4[::1],i8[::1],i4[::1],i8[::1])",
-    "surface.grow_planes": ("(i4[:,::1],u4[:,::1],f8[:,::1],i4[::1],i4[::1],f8,i4[::1])"),
+    "surface.grow_planes": ("(i4[:,::1],u4[:,::1],f8[:,::1],i4[::1],i4[::1],f8,f8,i4[::1])"),
     "surface.shape_hashes": "(i4[:,::1],u4[:,::1],i8[::1],u4[::1])",
     "rows.counting_order": "(i4[::1],i8,i4[::1],i8[::1])",
     "surface.component_volumes": (
@@ -66,7 +66,8 @@ def second_compiler() -> Iterator[None]:
     package_parent = str(Path(__file__).resolve().parents[1])
     try:
         process = subprocess.Popen(
-            [sys.executable, "-c", "from svprep.warm import compile_last_first as f; f()"],
+            # -P: nothing is imported from the folder that the user happens to be in.
+            [sys.executable, "-P", "-c", "from svprep.warm import compile_last_first as f; f()"],
             env={**os.environ, "PYTHONPATH": package_parent},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

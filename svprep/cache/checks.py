@@ -165,8 +165,8 @@ CHECKS: dict[str, Check] = {
         Check(
             "V407",
             "AGAINST_PLANE",
-            "A face looks away from its plane record, or a record names a face that does not "
-            "share it.",
+            "A face is tilted against its plane record by more than 0.0002 rad, or a record names "
+            "a face that does not share it.",
             _BUG,
         ),
         Check(

@@ -71,7 +71,7 @@ def resolve_target(path: str | os.PathLike[str]) -> Path:
     ------
     CacheError
         It exists and is not a regular file, names a folder, or holds something
-        else than HDF5: a slip of ``-o`` must not overwrite a model.
+        else than a cache: a slip of ``-o`` must not overwrite a model.
     EnvironmentProblem
         Its folder is missing, or takes no new files.
     """
@@ -92,9 +92,9 @@ def resolve_target(path: str | os.PathLike[str]) -> Path:
         if mode:
             with target.open("rb") as file:
                 head = file.read(len(HDF5_SIGNATURE))
-        if head and head != HDF5_SIGNATURE:
+        if head and (head != HDF5_SIGNATURE or _is_foreign(target)):
             raise CacheError(
-                f"{target} exists and is not a cache (expected an HDF5 file), so it is not "
+                f"{target} exists and is not a cache of svprep, so it is not "
                 "overwritten. Choose another name with -o, or remove it first"
             )
         with Temporary(target):
@@ -102,6 +102,20 @@ def resolve_target(path: str | os.PathLike[str]) -> Path:
     except OSError as error:
         raise problem_of(error, target) from error
     return target
+
+
+def _is_foreign(target: Path) -> bool:
+    """Whether an HDF5 file is not ours: without our magic, or unreadable and not so named."""
+    import h5py
+
+    from svprep.cache.schema import MAGIC
+
+    try:
+        with h5py.File(target, "r", locking=False) as file:
+            magic = file.attrs.get("magic")
+    except (OSError, RuntimeError, ValueError, KeyError):
+        return not target.name.endswith(".svp.h5")  # a damaged cache may be built again
+    return magic != MAGIC and magic != MAGIC.encode()
 
 
 @contextlib.contextmanager

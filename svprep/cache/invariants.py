@@ -7,6 +7,7 @@ Every check is vectorised: O(n), or O(n log n) where edges are sorted.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ from svprep.cache.checks import Problem, problem_at
 from svprep.cache.codec import BLOCK, face_normals, next_half_edge, rows_of_half_edges
 from svprep.cache.schema import DATASETS, DatasetSpec
 from svprep.defects import DEFECTS
-from svprep.model import BOOL, NO_INDEX, U32, ComponentFlag, EdgeFlag, EdgeKind
+from svprep.model import BOOL, MOST_TILT_RAD, NO_INDEX, U32, ComponentFlag, EdgeFlag, EdgeKind
 
 MAX_STEPS = 2**24
 
@@ -113,7 +114,7 @@ def check_faces(t: Tables) -> list[Problem]:
 
 
 def check_planes(t: Tables) -> list[Problem]:
-    """Every vertex is near its face's record, and every face looks the record's way."""
+    """Every vertex is near its face's record, and no face is tilted against it."""
     faces, positions = t["mesh/face_corners"].reshape(-1, 3), t["mesh/positions"]
     plane_of_face, d = t["planes/plane_of_face"], t["planes/d"]
     normal_of_plane = face_normals(positions, faces[t["planes/face"]])
@@ -132,12 +133,21 @@ def check_planes(t: Tables) -> list[Problem]:
             height = np.abs((n * positions[corners[:, i]]).sum(1) + d[plane])
             np.maximum(away, height, out=away)
         off[block] = ~(away <= limit[plane])
-        against[block] = ~((face_normals(positions, corners) * n).sum(1) > 0)
+        m = face_normals(positions, corners)
+        # The same sums in the same order as `grow_planes`, with room for rounding.
+        turn2 = (np.cross(n, m) ** 2).sum(1)
+        most2 = math.sin(MOST_TILT_RAD) ** 2 * (n**2).sum(1) * (m**2).sum(1)
+        against[block] = ~(((m * n).sum(1) > 0) & (turn2 <= most2 * (1.0 + 1e-9)))
     message = f"expected vertices within {t.tolerance_m:g} m of their record; faces beyond"
     stray = plane_of_face[t["planes/face"]] != np.arange(len(d), dtype=np.uint32)
     return [
         *problem_at("V406", "planes/plane_of_face", message, off),
-        *problem_at("V407", "planes/plane_of_face", "faces that look away", against),
+        *problem_at(
+            "V407",
+            "planes/plane_of_face",
+            f"faces tilted by more than {MOST_TILT_RAD:g} rad",
+            against,
+        ),
         *problem_at("V407", "planes/face", "records whose face has another record", stray),
     ]
 

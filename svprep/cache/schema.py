@@ -227,7 +227,7 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         (F,),
         "",
         "Plane record of each face. No vertex of the face lies farther from the record's plane "
-        "than `planar_tolerance_m`.",
+        "than `planar_tolerance_m`, and the face is tilted against it by at most 0.0002 rad.",
         "index",
         P,
     ),

@@ -201,6 +201,8 @@ def parse_obj(data, begin, end, stop_corner, xyz, corners, polygon_size, stateme
         while _CLASS[data[pos]] < _BLANK:
             key = key * 257 + np.int64(data[pos])
             pos += 1
+        if first < pos and data[first] == 0:
+            key = -1  # a NUL adds nothing to the hash: it would hide in front of a keyword
         mode = 0
         n_tokens = 0
         if key == 118:  # v

@@ -98,12 +98,16 @@ def shape_hashes(grid_positions, faces, face_start, hashes):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def grow_planes(grid_positions, faces, normals, mate, seeds, tolerance_steps, seed_of_face):
+def grow_planes(
+    grid_positions, faces, normals, mate, seeds, tolerance_steps, most_tilt_rad, seed_of_face
+):
     """Give every face the seed whose plane it shares.
 
     Seeds are tried in the given order. From a seed the plane spreads over
-    paired half-edges to faces that turn the same way and whose corners lie
-    within the tolerance of the *seed's* plane, so it cannot drift.
+    paired half-edges to faces that are tilted by no more than `most_tilt_rad` and
+    whose corners lie within the tolerance of the *seed's* plane, so it cannot
+    drift. (Without the first a sliver at an eave, however steep, would face
+    where its roof faces, and its volume would subtract.)
 
     ``seed_of_face (n_faces,) int32`` starts at -1. O(n_faces).
     """
@@ -114,7 +118,9 @@ def grow_planes(grid_positions, faces, normals, mate, seeds, tolerance_steps, se
             continue
         n = normals[seed]
         a = grid_positions[faces[seed, 0]]
-        limit = tolerance_steps * math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+        length2 = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+        limit = tolerance_steps * math.sqrt(length2)
+        tilt2 = math.sin(most_tilt_rad) ** 2 * length2
         seed_of_face[seed] = seed
         stack[0] = seed
         depth = 1
@@ -129,7 +135,12 @@ def grow_planes(grid_positions, faces, normals, mate, seeds, tolerance_steps, se
                 if seed_of_face[g] >= 0:
                     continue
                 m = normals[g]
-                if n[0] * m[0] + n[1] * m[1] + n[2] * m[2] <= 0.0:
+                x = n[1] * m[2] - n[2] * m[1]
+                y = n[2] * m[0] - n[0] * m[2]
+                z = n[0] * m[1] - n[1] * m[0]
+                if n[0] * m[0] + n[1] * m[1] + n[2] * m[2] <= 0.0 or (
+                    x * x + y * y + z * z > tilt2 * (m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+                ):
                     continue
                 apex = grid_positions[faces[g, (other % 3 + 2) % 3]]
                 distance = (

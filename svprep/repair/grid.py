@@ -90,10 +90,17 @@ def _too_large(source: SourceMesh, points: F64, extent: float) -> InputError:
     face = int(np.flatnonzero((source.faces == vertex).any(axis=1))[0])
     owner = int(np.searchsorted(source.object_face_start, face, side="right")) - 1
     x, y, z = source.positions[vertex]
+    magnitude = float(np.abs(source.positions[vertex]).max())
+    too_far = extent <= COARSEST_STEP_M * 2 * MAX_COORDINATE
+    problem = (
+        f"that far from the origin float64 resolves no less than {np.spacing(magnitude):g} m"
+        if too_far
+        else f"so the model is {extent:g} m wide; at most "
+        f"{COARSEST_STEP_M * 2 * MAX_COORDINATE / 1000:,.0f} km fit a grid of {COARSEST_STEP_M} m"
+    )
     path = source.sources[int(source.object_source[owner])].path
+    advice = "Move the model nearer" if too_far else "Mend or remove that vertex"
     return InputError(
         f'{path}, object "{source.object_names[owner]}": a face uses a vertex at '
-        f"({x:g}, {y:g}, {z:g}), so the model is {extent:g} m wide; at most "
-        f"{COARSEST_STEP_M * 2 * MAX_COORDINATE / 1000:,.0f} km fit a grid of "
-        f"{COARSEST_STEP_M} m. Mend or remove that vertex, or build the parts apart."
+        f"({x:g}, {y:g}, {z:g}), {problem}. {advice}, or build the parts apart."
     )

@@ -19,7 +19,8 @@ def find_self_contact(points: I32, faces: U32, component_face_start: I64, candid
     """Return ``(len(candidates),)``: whether each component crosses or touches itself.
 
     Faces are grouped by component. Exact (integer predicates, after Devillers
-    and Guigue 2002), O(n log n) for real surfaces.
+    and Guigue 2002); time is bounded, and a component that would need more
+    counts as touching (see `kernels.self_contact`).
     Plain twin: `reference.triangles_touch` on every pair.
     """
     touching = np.zeros(len(candidates), bool)

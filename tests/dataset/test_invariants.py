@@ -7,7 +7,7 @@ import pytest
 
 from svprep import reference
 from svprep.facing import facing
-from svprep.model import NO_INDEX, ComponentFlag
+from svprep.model import MOST_TILT_RAD, NO_INDEX, ComponentFlag
 from svprep.validate import (
     closed_volume_allowed,
     component_bounds,
@@ -116,13 +116,14 @@ def test_both_volumes_tell_shadow_as_brute_force_does(built: Built, is_long: boo
     rng = np.random.default_rng(2)
     wanted, points_at_once = (10_000, 40) if is_long else (1_000, 20)
     budget = 2e9 if is_long else 1e7
-    tested = shaded = by_closed = 0
+    tested = shaded = by_closed = grazing = turns = 0
     bounds = component_bounds(mesh, components)
     lights = random_lights(mesh, components, 64, seed=3)
     solids = np.flatnonzero(components.flags & np.uint8(ComponentFlag.SOLID))
     for turn in range(4 * wanted // points_at_once):
         if tested >= wanted or budget < 0:
             break
+        turns += 1
         light = lights[turn % len(lights)]
         pool = solids if len(solids) and turn % 2 else np.arange(len(components.flags))
         chosen = int(rng.choice(pool))
@@ -132,10 +133,17 @@ def test_both_volumes_tell_shadow_as_brute_force_does(built: Built, is_long: boo
         budget -= n_points * float(e1 - e0)
         faces, rows = mesh.faces[f0:f1], edges.rows[e0:e1].astype(np.int64)
         rows[:, 2:] = np.where(rows[:, 2:] == NO_INDEX, NO_INDEX, rows[:, 2:] - f0)
-        side = own_facing(mesh.positions, faces, light)
+        # The truth by each face's own facing, the volumes by that of its plane record.
+        own = own_facing(mesh.positions, faces, light)
+        side = facing(prepared.planes.planes, light).astype(np.int64)
+        side = side[prepared.planes.plane_of_face[f0:f1]]
+        if (own != side).any():
+            assert_grazed(mesh.positions[faces[own != side]], light, prepared.planes.tolerance_m)
+            grazing += 1
+            continue
         x = _points_behind(mesh.positions[faces], light, n_points, rng)
         ray = rng.normal(size=3)
-        truth = reference.volume_count(mesh.positions, faces, side, light, x)
+        truth = reference.volume_count(mesh.positions, faces, own, light, x)
         robust = reference.robust_count(mesh.positions, faces, rows, side, light, x, ray)
         sure = truth.is_decidable & robust.is_decidable
         assert np.array_equal(truth.value[sure], robust.value[sure])
@@ -147,7 +155,24 @@ def test_both_volumes_tell_shadow_as_brute_force_does(built: Built, is_long: boo
             by_closed += int(both.sum())
         tested += int(sure.sum())
         shaded += int((truth.value[sure] > 0).sum())
-    assert tested >= min(20, wanted), "too few points were beyond doubt to mean anything"
+    assert tested >= 20, "too few points were beyond doubt to mean anything"
+    assert shaded > 0, "no point was in shadow: the test would prove nothing"
+    assert by_closed > 0 or not len(solids), "no closed volume was tried"
+    assert grazing <= 1 + 0.02 * turns, "lights graze faces far more often than chance allows"
+
+
+def assert_grazed(corners: np.ndarray, light: np.ndarray, tolerance_m: float) -> None:
+    """Check that faces whose record faces otherwise than they are barely grazed.
+
+    The light may lie off a face's plane by the tilt that a record allows, seen
+    from the face, and by the record's tolerance.
+    """
+    a, b, c = (corners[:, i].astype(np.float64) for i in range(3))
+    n = np.cross(b - a, c - a)
+    towards = light[:3].astype(np.float64) - light[3] * a
+    height = np.abs((n * towards).sum(axis=1)) / np.linalg.norm(n, axis=1)
+    reach = np.linalg.norm(towards, axis=1)
+    assert (height <= 1.01 * MOST_TILT_RAD * reach + 2.0 * light[3] * tolerance_m).all()
 
 
 def _points_behind(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from fractions import Fraction
 
@@ -168,7 +169,7 @@ def curved_strip(n: int, sagitta: int) -> SourceMesh:
 def test_a_slow_curve_does_not_drift() -> None:
     """Neighbours differ by less than the tolerance; 64 of them do not share a plane."""
     repaired, _ = repair(weld(curved_strip(64, 1))[0])
-    table = build_planes(repaired, 1.25)
+    table = build_planes(repaired, 1.25, math.pi / 2)
     check_records(repaired, table)
     # Within 1.25 m of one quad's plane lies a quad or two either side of it.
     sizes = np.bincount(table.plane_of_face)
@@ -267,7 +268,7 @@ def test_one_facing_for_both_sides_of_a_planar_edge() -> None:
         np.array([[0, 0, 0], [64, 0, 0], [64, 64, 1], [0, 64, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
     )
     repaired, _ = repair(weld(source)[0])
-    table = build_planes(repaired, 1.0)
+    table = build_planes(repaired, 1.0, math.pi / 2)
     edges, _ = build_edges(repaired, table)
     assert len(table.planes) == 1
     assert (edges.flags & EdgeFlag.PLANAR != 0).sum() == 1
@@ -325,3 +326,36 @@ def test_a_wrong_record_is_seen(name: str) -> None:
     changed = rows.copy()
     changed[counted[-1], 2:] = changed[counted[-1], [3, 2]]
     assert (sums.of_rows(changed, s) != right).any()
+
+
+def test_a_steep_sliver_keeps_its_own_record() -> None:
+    """A drip edge a millimetre high at a roof's rim: within the tolerance, but not its plane.
+
+    Were it to face where the roof faces, a low sun behind it would find its
+    volume inside out, and light would leak along the eave's shadow.
+    """
+    x, z = 20.0002, 9.9991
+    roof = [[0, 0, 10], [20, 0, 10], [20, 20, 10], [0, 20, 10], [x, 0, z], [x, 20, z]]
+    far = [[2000, 0, 0], [2001, 0, 0], [2000, 1, 0]]  # makes the grid as coarse as a city's
+    faces = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2], [6, 7, 8]])
+    source = source_mesh(np.array([*roof, *far], float), faces)
+    built = build(source)
+    mesh, table = built.repaired.mesh, built.planes
+    assert table.tolerance_m >= 0.9e-3
+    planes = table.plane_of_face[np.argsort(mesh.source_face)]
+    assert planes[0] == planes[1]
+    assert planes[2] == planes[3] != planes[0]
+    altitude = np.radians(2.0)
+    light = np.array([-np.cos(altitude), 0.0, np.sin(altitude), 0.0], np.float32)
+    side = facing(table.planes, light)[table.plane_of_face]
+    along = np.linspace(-1.0, 306.0, 400)
+    ground = np.column_stack((along, np.full(400, 9.7), np.zeros(400))) - mesh.grid.origin_m
+    a, b, c = (mesh.positions[mesh.faces[:, i]].astype(float) for i in range(3))
+    own = np.sign(np.cross(b - a, c - a) @ light[:3].astype(float)).astype(int)
+    truth = reference.volume_count(mesh.positions, mesh.faces, own, light, ground)
+    ray = np.array([0.31, 0.77, 0.55])
+    rows = built.edges.rows
+    robust = reference.robust_count(mesh.positions, mesh.faces, rows, side, light, ground, ray)
+    sure = truth.is_decidable & robust.is_decidable
+    np.testing.assert_array_equal(robust.value[sure], truth.value[sure])
+    assert (truth.value[sure] > 0).any()

@@ -270,3 +270,53 @@ def test_several_inputs_make_one_cache(capfd: pytest.CaptureFixture[str]) -> Non
     assert cli.run(["build", *models, "-o", "both.svp.h5", "--json"]) == 0
     built = json.loads(capfd.readouterr().out)
     assert (built["objects"], built["faces"], built["solid"]) == (2, 16, 2)
+
+
+def test_nothing_of_the_users_is_overwritten(capfd: pytest.CaptureFixture[str]) -> None:
+    model = str(CONFORMANCE / "clean_cube.obj")
+    with h5py.File("mine.h5", "w") as file:
+        file["x"] = 1
+    Path("city.json").write_text('{"type": "CityJSON"}')
+    Path("linked.csv").write_bytes(Path(model).read_bytes())
+    os.link("linked.csv", "linked.obj")
+    os.mkfifo("pipe.csv")
+    kept = {name: Path(name).read_bytes() for name in ("mine.h5", "city.json", "linked.obj")}
+    for arguments in (
+        [model, "-o", "mine.h5"],
+        [model, "-o", "a.svp.h5", "--report", "city.json"],
+        ["linked.obj", "-o", "a.svp.h5", "--report", "linked.csv"],
+        [model, "-o", "a.svp.h5", "--report", "pipe.csv"],
+    ):
+        assert cli.run(["build", *arguments]) == 1
+        assert capfd.readouterr().err.count("\n") == 1
+    assert {name: Path(name).read_bytes() for name in kept} == kept
+    assert not Path("a.svp.h5").exists()
+    for _ in range(2):  # our own report and cache may be replaced
+        assert cli.run(["build", model, "-o", "a.svp.h5", "--report", "r.csv"]) == 0
+        assert cli.run(["build", model, "-o", "a.svp.h5", "--report", "r.json"]) == 0
+
+
+def test_names_cannot_steer_a_terminal_or_a_spreadsheet() -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\no =1+2\nf 1 2 3\no caf\xe9\nf 1 2 3\no \x1b]0;x\x07\n"
+    Path("names.obj").write_text(text, encoding="utf-8")
+    line = "LC_ALL=C PYTHONUTF8=0 PYTHONCOERCECLOCALE=0 svprep build names.obj --report r.csv"
+    done = shell(line)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\x1b" not in done.stdout
+    with open("r.csv", newline="", encoding="utf-8") as file:
+        assert {row["object"] for row in csv.DictReader(file)} == {"'=1+2", "caf\xe9"}
+
+
+def test_the_first_build_runs_nothing_from_the_current_folder() -> None:
+    for name in ("numba.py", "numpy.py", "svprep.py"):
+        Path(name).write_text("open('ran', 'w')")
+    program = f"import sys; sys.path.insert(0, {str(ROOT)!r}); from svprep.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program, "build", str(CONFORMANCE / "clean_cube.obj")],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(Path.cwd() / "kernels")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert not Path("ran").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import product
 
 import numpy as np
@@ -134,7 +135,8 @@ def check_growth(built: Built, seed: int, numerator: int, denominator: int) -> N
     faces = built.repaired.mesh.faces
     normals = normals_of(built.points, faces)
     tolerance = numerator / denominator
-    grow_planes(built.points, faces, normals, built.repaired.mate, seeds, tolerance, grown)
+    mate, any_tilt = built.repaired.mate, math.pi / 2
+    grow_planes(built.points, faces, normals, mate, seeds, tolerance, any_tilt, grown)
     assert grown.tolist() == plain_growth(built, seeds.tolist(), numerator, denominator)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from itertools import combinations
 
 import numpy as np
@@ -207,3 +208,29 @@ def test_a_dented_sphere_touches_itself_only_when_the_dent_goes_through() -> Non
         unique, vertex = np.unique(positions, axis=0, return_inverse=True)
         faces = vertex.reshape(-1)[source.faces.astype(int)]
         assert kernel(unique, faces, [0, len(faces)]) == [touches]
+
+
+def test_slivers_side_by_side_are_given_up_in_bounded_time() -> None:
+    """A fan-capped prism of 20,000 sides: every pair of its slivers has boxes that overlap."""
+    n = 20_000
+    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    ring = np.column_stack((np.cos(angle), np.sin(angle))) * (1 << 22)
+    points = np.vstack((np.column_stack((ring, np.zeros(n))), np.column_stack((ring, np.ones(n)))))
+    i = np.arange(n)
+    j = (i + 1) % n
+    k = np.arange(1, n - 1)
+    zero = np.zeros_like(k)
+    faces = np.vstack(
+        (
+            np.column_stack((i, j, j + n)),
+            np.column_stack((i, j + n, i + n)),
+            np.column_stack((zero, k + 1, k)),
+            np.column_stack((zero + n, k + n, k + 1 + n)),
+        )
+    ).astype(np.uint32)
+    start = np.array([0, len(faces)], np.int64)
+    points = np.rint(points).astype(np.int32)
+    begun = time.perf_counter()
+    touching = find_self_contact(points, faces, start, np.array([0]))
+    assert touching.tolist() == [True]
+    assert time.perf_counter() - begun < 60.0, "the budget of pairs does not hold"
