@@ -18,7 +18,7 @@ import numpy as np
 
 from svprep.errors import InputError
 from svprep.ingest.file_bytes import check_file, read_file
-from svprep.ingest.parsed import ParsedFile, Report
+from svprep.ingest.parsed import ParsedFile, Report, encodable
 from svprep.model import U8, FaceFindings, SourceFile, SourceMesh
 
 Progress = Callable[[int, int], None]
@@ -72,6 +72,7 @@ _NOT_YET = {
     ".poly": "TetGen polyhedra",
 }
 _TILESET_KEYS = ("root", "geometricError")
+_MOST_FACES = 715_000_000  # three times as many stay below 2**31
 _TILESET_BYTES = 64 << 20  # larger files are not looked into: a tileset names files
 
 
@@ -130,7 +131,7 @@ def _suffix(path: Path) -> str:
 def _stem(path: Path) -> str:
     """Return the file's name without the suffixes that `_suffix` looks at."""
     name = path.name[: -len(".gz")] if path.name.lower().endswith(".gz") else path.name
-    return Path(name).stem
+    return encodable(Path(name).stem)
 
 
 def _format_of(path: Path) -> tuple[str, _Reader]:
@@ -159,6 +160,8 @@ def _is_tileset(path: Path) -> bool:
     """Return whether a JSON file is a 3D Tiles tileset; what cannot be read is none."""
     if path.name.lower().removesuffix(".gz") == "tileset.json":
         return True
+    if not path.is_file():
+        return False
     is_packed = path.name.lower().endswith(".gz")
     try:
         with gzip.open(path) if is_packed else path.open("rb") as file:
@@ -190,6 +193,12 @@ def _concatenate(parsed: list[ParsedFile], sources: list[SourceFile]) -> SourceM
             f"{n_vertices.sum()} vertices in all input files; one build takes 2**32 - 1. "
             "Build the files one by one."
         )
+    n_faces = sum(len(p.faces) for p in parsed)
+    if n_faces > _MOST_FACES:
+        raise InputError(
+            f"{n_faces} triangles in all input files; one build takes {_MOST_FACES}. "
+            "Build the files one by one, or split them."
+        )
     first_vertex = (np.cumsum(n_vertices) - n_vertices).astype(np.uint32)
     first_object = (np.cumsum(n_objects) - n_objects).astype(np.uint32)
     face_counts = np.concatenate([np.diff(p.object_face_start) for p in parsed])
@@ -201,7 +210,7 @@ def _concatenate(parsed: list[ParsedFile], sources: list[SourceFile]) -> SourceM
         ),
         object_face_start=np.concatenate([[0], np.cumsum(face_counts)]).astype(np.int64),
         source_face=_joined([p.source_face for p in parsed]),
-        object_names=tuple(name for p in parsed for name in p.object_names),
+        object_names=tuple(encodable(name) for p in parsed for name in p.object_names),
         object_source=np.repeat(np.arange(len(parsed), dtype=np.uint32), n_objects),
         sources=tuple(sources),
         face_findings=FaceFindings(
@@ -212,7 +221,7 @@ def _concatenate(parsed: list[ParsedFile], sources: list[SourceFile]) -> SourceM
             source_face=_joined([f.source_face for f in findings]),
         ),
         notes=tuple(
-            f"{Path(source.path).name}: {note}"
+            encodable(f"{Path(source.path).name}: {note}")
             for p, source in zip(parsed, sources, strict=True)
             for note in p.notes
         ),

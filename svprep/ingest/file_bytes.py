@@ -5,7 +5,6 @@ Every way in which that can fail is one `InputError`.
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import os
 import stat
@@ -21,6 +20,12 @@ from svprep.errors import InputError
 from svprep.model import U8
 
 _BLOCK_BYTES = 8 << 20
+_PACKED_BYTES = 1 << 20  # of a gzip file, at a time
+
+# More than that is no model that anyone packed: a gzip file may unpack to 1032 times its size.
+_MOST_UNPACKED = 64 << 30
+_MOST_RATIO = 200
+_ALWAYS_UNPACKED = 1 << 30
 
 
 @contextmanager
@@ -44,11 +49,18 @@ def check_file(path: Path) -> int:
     """Return the size of a file on disk; raise `InputError` if it cannot be a model."""
     with _file_errors(path):
         status = path.stat()
+    if is_device(status):
+        raise InputError(f"{path}: this is a device, not a file; name a model file.")
     if stat.S_ISDIR(status.st_mode):
         raise InputError(f"{path}: this is a folder; name the model files in it.")
     if stat.S_ISREG(status.st_mode) and status.st_size == 0:
         raise InputError(f"{path}: the file is empty.")
     return status.st_size
+
+
+def is_device(status: os.stat_result) -> bool:
+    """Return whether this is a device: there may be no end of it."""
+    return stat.S_ISBLK(status.st_mode) or stat.S_ISCHR(status.st_mode)
 
 
 def read_file(path: Path, pool: Executor) -> tuple[U8, Callable[[Sequence[bytes]], str]]:
@@ -101,19 +113,50 @@ def _read_block(descriptor: int, data: U8, start: int) -> None:
 
 def _unpack(path: Path, packed: U8) -> U8:
     """Return the bytes of a gzip file, and a line feed."""
+    most = min(_MOST_UNPACKED, _MOST_RATIO * packed.size + _ALWAYS_UNPACKED)
+    text = bytearray()
     try:
-        text = gzip.decompress(packed.data)
+        for block in _unpacked(packed.data):
+            text += block
+            if len(text) > most:
+                raise InputError(
+                    f"{path}: unpacks to more than {most >> 20} MiB from {packed.size} bytes, "
+                    "which no model does; if it is one, unpack it and name the file it gives."
+                )
     except EOFError:
         raise InputError(
             f"{path}: the gzip file is cut off; it is incomplete. Copy or download it again."
         ) from None
-    except (gzip.BadGzipFile, zlib.error) as error:
+    except zlib.error as error:
         raise InputError(f"{path}: not a readable gzip file ({error}).") from None
     if not text:
         raise InputError(f"{path}: the file is empty once unpacked.")
-    return _with_line_feed(text)
+    text += b"\n"
+    return np.frombuffer(text, np.uint8)
+
+
+def _unpacked(packed: memoryview) -> Iterator[bytes]:
+    """Yield what the members of a gzip file unpack to, in blocks."""
+    pos = 0
+    while pos < len(packed):
+        member = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
+        while not member.eof:
+            part: bytes | memoryview = member.unconsumed_tail
+            if not part:
+                part = packed[pos : pos + _PACKED_BYTES]
+                pos += len(part)
+            block = member.decompress(part, _BLOCK_BYTES)
+            if not part and not block:
+                raise EOFError
+            yield block
+        pos -= len(member.unused_data)
+        while pos < len(packed) and packed[pos] == 0:  # padding between members
+            pos += 1
 
 
 def _with_line_feed(text: bytes) -> U8:
     """Return bytes as a writable array (the only kind that kernels are compiled for)."""
-    return np.frombuffer(bytearray(text) + b"\n", np.uint8)
+    data = np.empty(len(text) + 1, np.uint8)
+    data[:-1] = np.frombuffer(text, np.uint8)
+    data[-1] = 0x0A
+    return data

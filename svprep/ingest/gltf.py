@@ -24,15 +24,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.errors import InputError, first_few
+from svprep.ingest.file_bytes import is_device
 from svprep.ingest.gltf_extensions import extension_notes, refuse_unread
-from svprep.ingest.parsed import ParsedFile, count_of, no_findings, refuse_non_finite
+from svprep.ingest.parsed import (
+    ParsedFile,
+    count_of,
+    encodable,
+    no_findings,
+    refuse_non_finite,
+    shown,
+)
 from svprep.model import F64, I64, U8
 
 _JSON_CHUNK: Final = 0x4E4F534A
 _BIN_CHUNK: Final = 0x004E4942
 _DTYPES: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_INDEX_TYPES: Final = (5121, 5123, 5125)
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_PLACING: Final = frozenset(["matrix", "rotation", "scale", "translation"])
 _Z_UP_FROM_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
@@ -53,8 +63,8 @@ def read_gltf(data: U8, path: Path, stem: str) -> ParsedFile:
     try:
         tree, binary = _split(data[:-1].tobytes(), path)
         return _Gltf(tree, binary, path).read(stem)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        detail = f"{type(error).__name__}: {error}".splitlines()[0]
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        detail = shown(f"{type(error).__name__}: {error}")
         raise InputError(f"{path}: the glTF structure is damaged ({detail}).") from None
 
 
@@ -82,11 +92,13 @@ def _split(text: bytes, path: Path) -> tuple[dict[str, Any], bytes | None]:
         tree = json.loads(text.decode("utf-8-sig"))
     except ValueError as error:
         raise InputError(f"{path}: not glTF: no readable JSON in it ({error}).") from None
+    except RecursionError:
+        raise InputError(f"{path}: not glTF: its JSON is nested too deeply.") from None
     if not isinstance(tree, dict) or "asset" not in tree:
         raise InputError(f'{path}: not glTF: the JSON has no "asset".')
     version = str(tree["asset"].get("version", "2.0"))
     if not version.startswith("2"):
-        raise InputError(f"{path}: glTF version {version}; version 2 is read.")
+        raise InputError(f"{path}: glTF version {shown(version)}; version 2 is read.")
     return tree, binary
 
 
@@ -111,8 +123,8 @@ class _Gltf:
         """Walk the scene and gather its surfaces."""
         refuse_unread(self.tree, self.path)
         nodes = self.tree.get("nodes", [])
-        for root in self._roots():
-            self._visit(root, np.eye(4), frozenset())
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            self._visit_all(self._roots())
         if not self.faces:
             detail = "; ".join(self._notes())
             raise InputError(
@@ -135,10 +147,16 @@ class _Gltf:
     def _roots(self) -> list[int]:
         """Return the nodes that the scene starts from; without a scene, all that have no parent."""
         scenes = self.tree.get("scenes", [])
+        default = _natural(self.tree.get("scene", 0))
+        if default >= len(scenes) and "scene" in self.tree:
+            raise InputError(
+                f"{self.path}: it starts from scene {shown(default)}, but has "
+                f"{count_of(len(scenes), 'scene')}, counted from 0."
+            )
         if scenes:
             if len(scenes) > 1:
                 self.left_out["scene that is not the default one"] += len(scenes) - 1
-            return list(scenes[self.tree.get("scene", 0)].get("nodes", []))
+            return list(scenes[default].get("nodes", []))
         nodes = self.tree.get("nodes", [])
         children = {child for node in nodes for child in node.get("children", [])}
         return [i for i in range(len(nodes)) if i not in children]
@@ -146,41 +164,51 @@ class _Gltf:
     def _notes(self) -> list[str]:
         return [f"{count_of(n, kind)} left out" for kind, n in self.left_out.items()]
 
-    def _visit(self, root: int, parent: F64, above: frozenset[int]) -> None:
-        """Gather a node and what is below it, parents first."""
-        stack = [(root, parent, above)]
+    def _visit_all(self, roots: list[int]) -> None:
+        """Gather the nodes below `roots`, parents first; they must form a forest."""
+        nodes = self.tree.get("nodes", [])
+        visited: set[int] = set()
+        stack = [(root, np.eye(4)) for root in reversed(roots)]
         while stack:
-            index, parent, above = stack.pop()
-            if index in above:
-                raise InputError(f"{self.path}: node {index} is its own parent.")
-            node = self.tree["nodes"][_natural(index)]
-            with np.errstate(invalid="ignore", over="ignore"):
-                world = parent @ _local_matrix(node)
-            if not np.isfinite(world).all():
+            index, world = stack.pop()
+            if index in visited:
                 raise InputError(
-                    f"{self.path}: node {index} is placed by a transform that is not finite."
+                    f"{self.path}: node {index} is reached twice; a node may have one parent and "
+                    "stand in a scene once."
                 )
+            node = nodes[_natural(index)]
+            visited.add(index)
+            if not _PLACING.isdisjoint(node):
+                world = world @ _local_matrix(node)
+                if not np.isfinite(world).all():
+                    raise InputError(
+                        f"{self.path}: node {index} is placed by a transform that is not finite."
+                    )
             if "mesh" in node:
                 self._add_object(node, index, world)
-            below = above | {index}
-            stack.extend((child, world, below) for child in reversed(node.get("children", [])))
+            stack.extend((child, world) for child in reversed(node.get("children", [])))
+        if not self.tree.get("scenes") and len(visited) < len(nodes):
+            index = next(i for i in range(len(nodes)) if i not in visited)
+            raise InputError(f"{self.path}: node {index} is, or lies below, its own parent.")
 
     def _add_object(self, node: dict[str, Any], index: int, world: F64) -> None:
         """Gather the surfaces of one node's mesh."""
         mesh = self.tree["meshes"][_natural(node["mesh"])]
-        name = str(node.get("name") or mesh.get("name") or f"node_{index}")
+        name = encodable(str(node.get("name") or mesh.get("name") or f"node_{index}"))
         n_faces = 0
         for number, primitive in enumerate(mesh["primitives"]):
-            what = f'object "{name}", primitive {number}'
+            what = f'object "{shown(name)}", primitive {number}'
             mode = primitive.get("mode", _TRIANGLES)
             if mode not in (_TRIANGLES, _STRIP, _FAN):
                 self.left_out["point set" if mode == 0 else "line set"] += 1
                 continue
-            points = self._accessor(primitive["attributes"]["POSITION"]).astype(np.float64)
-            if points.shape[1:] != (3,):
-                raise ValueError(f"{what}: positions are not VEC3")
+            position = primitive["attributes"]["POSITION"]
+            if self._described(position)["type"] != "VEC3":
+                raise InputError(f"{self.path}: {what}: its positions are not VEC3.")
+            points = self._accessor(position).astype(np.float64)
             refuse_non_finite(points, self.path, what)
             if "indices" in primitive:
+                self._refuse_no_indices(primitive["indices"], what)
                 corners = self._accessor(primitive["indices"]).reshape(-1).astype(np.int64)
             else:
                 corners = np.arange(len(points))
@@ -197,8 +225,10 @@ class _Gltf:
             triangles = self._triangles(corners, mode)
             if len(triangles) == 0:
                 continue
-            points = (points @ world[:3, :3].T + world[:3, 3]) @ _Z_UP_FROM_Y_UP.T
-            if np.linalg.det(world[:3, :3]) < 0:
+            points = points @ world[:3, :3].T + world[:3, 3]
+            refuse_non_finite(points, self.path, f"{what}, placed by its nodes")
+            points = points @ _Z_UP_FROM_Y_UP.T
+            if np.linalg.slogdet(world[:3, :3])[0] < 0:
                 triangles = triangles[:, ::-1]
             self.faces.append((triangles + self.n_vertices).astype(np.uint32))
             self.positions.append(points)
@@ -224,9 +254,25 @@ class _Gltf:
         odd = first % 2
         return np.stack([corners[first + odd], corners[first + 1 - odd], corners[first + 2]], 1)
 
+    def _described(self, index: int) -> dict[str, Any]:
+        """Return what the JSON says of an accessor."""
+        accessor: dict[str, Any] = self.tree["accessors"][_natural(index)]
+        return accessor
+
+    def _refuse_no_indices(self, index: int, what: str) -> None:
+        """Raise `InputError` for values that another type would turn into other vertices."""
+        accessor = self._described(index)
+        kind, component = accessor["type"], accessor["componentType"]
+        if kind != "SCALAR" or component not in _INDEX_TYPES or accessor.get("normalized"):
+            raise InputError(
+                f"{self.path}: {what}: accessor {index} holds no indices: its type is "
+                f"{shown(kind)} of componentType {shown(component)}, but indices are SCALAR of "
+                "5121, 5123 or 5125, not normalized."
+            )
+
     def _accessor(self, index: int) -> NDArray[np.generic]:
         """Return the values of an accessor, ``(count, width)``."""
-        accessor = self.tree["accessors"][_natural(index)]
+        accessor = self._described(index)
         if "sparse" in accessor:
             raise InputError(
                 f"{self.path}: accessor {index} is sparse, which is not read; export it dense."
@@ -234,7 +280,7 @@ class _Gltf:
         dtype = np.dtype(_DTYPES[accessor["componentType"]])
         width, count = _WIDTHS[accessor["type"]], _natural(accessor["count"])
         if "bufferView" not in accessor:
-            return np.zeros((count, width), dtype)
+            raise InputError(f"{self.path}: accessor {index} has no bufferView, so no values.")
         view = self.tree["bufferViews"][_natural(accessor["bufferView"])]
         buffer = self._buffer(_natural(view["buffer"]))
         view_start = _natural(view.get("byteOffset", 0))
@@ -266,22 +312,28 @@ class _Gltf:
                 except binascii.Error:
                     raise InputError(f"{self.path}: buffer {index} is not base64.") from None
             elif "://" in uri:
-                raise InputError(f"{self.path}: buffer {index} lies at {uri}; download it first.")
+                raise InputError(
+                    f"{self.path}: buffer {index} lies at {shown(uri)}; download it first."
+                )
             else:
                 beside = self.path.parent / unquote(uri)
                 try:
+                    if is_device(beside.stat()):
+                        raise InputError(
+                            f"{self.path}: its buffer {shown(beside)} is a device, not a file."
+                        )
                     self.buffers[index] = beside.read_bytes()
                     self.beside.add(index)
                 except OSError as error:
                     raise InputError(
-                        f"{self.path}: its buffer {beside} cannot be read: {error.strerror}."
+                        f"{self.path}: its buffer {shown(beside)} cannot be read: {error.strerror}."
                     ) from None
         return self.buffers[index]
 
 
 def _natural(value: object) -> int:
     """Return an index or a size; a negative one would count from the end."""
-    if not isinstance(value, int) or value < 0:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise ValueError(f"{value!r} is not an index")
     return value
 

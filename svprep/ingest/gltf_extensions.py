@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.errors import InputError, first_few
-from svprep.ingest.parsed import count_of
+from svprep.ingest.parsed import count_of, shown
 
 _UNDECODED: Final = {
     "KHR_draco_mesh_compression": "its meshes are Draco-compressed",
@@ -44,9 +44,10 @@ def refuse_unread(tree: dict[str, Any], path: Path) -> None:
             )
     unknown = [n for n in required if n not in _READ_OR_NOTED and not _NO_GEOMETRY.fullmatch(n)]
     if unknown:
+        listed = first_few(map(shown, unknown))
         raise InputError(
-            f"{path}: it requires {first_few(unknown)}, which is not read and may change its "
-            "geometry; export it without."
+            f"{path}: it requires {listed}, which is not read and may change its geometry; export "
+            "it without."
         )
 
 
@@ -66,15 +67,17 @@ def extension_notes(
     notes = []
     if "CESIUM_RTC" in tree.get("extensions", {}):
         center = tree["extensions"]["CESIUM_RTC"].get("center")
-        notes.append(f"CESIUM_RTC is not applied: its center {center} is not added to positions")
+        notes.append(
+            f"CESIUM_RTC is not applied: its center {shown(center)} is not added to positions"
+        )
     with_targets = [m for m in meshes if any(p.get("targets") for p in _primitives(tree, m))]
     if with_targets:
         found = count_of(len(with_targets), "mesh", "meshes")
         notes.append(f"morph targets are not applied: {found} with them read as without")
     for label, n in _count_features(tree, meshes, accessor):
         notes.append(
-            f"holds {n} objects as feature ids ({label}), which are not read yet: each mesh is "
-            "one object"
+            f"holds {n} objects as feature ids ({shown(label)}), which are not read yet: "
+            "each mesh is one object"
         )
     return notes
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.ingest.parsed import ParsedFile, polygons_as_object, refuse_non_finite
+from svprep.ingest.parsed import ParsedFile, polygons_as_object, refuse_non_finite, shown
 from svprep.model import U8
 
 _HEADER = re.compile(rb"(ST)?C?N?OFF")
@@ -52,16 +52,23 @@ def read_off(data: U8, path: Path, stem: str) -> ParsedFile:
                 f"{path}: cut off: {n_vertices} vertices and {n_faces} faces announced, "
                 f"{len(lines) - 1} lines found."
             )
+        if len(lines) > 1 + n_vertices + n_faces:
+            raise InputError(
+                f"{path}, line {lines[1 + n_vertices + n_faces][0]}: more lines than the "
+                f"{n_vertices} vertices and {n_faces} faces announced; correct the counts."
+            )
         positions = np.empty((n_vertices, 3))
         for row in range(n_vertices):
             line, tokens = lines[1 + row]
             positions[row] = [float(token) for token in tokens[:3]]
+            if any(b"_" in token for token in tokens):  # Python reads "1_0" as 10
+                raise ValueError
         corners: list[int] = []
         start = [0]
         for line, tokens in lines[1 + n_vertices : 1 + n_vertices + n_faces]:
             size = int(tokens[0])
             ring = [int(token) for token in tokens[1 : 1 + size]]
-            if size < 0 or len(ring) != size:
+            if size < 0 or len(ring) != size or any(b"_" in token for token in tokens):
                 raise ValueError
             if ring and (min(ring) < 0 or max(ring) >= n_vertices):
                 bad = min(ring) if min(ring) < 0 else max(ring)
@@ -72,12 +79,12 @@ def read_off(data: U8, path: Path, stem: str) -> ParsedFile:
             corners += ring
             start.append(len(corners))
     except ValueError:
-        shown = next(b" ".join(tokens) for number, tokens in lines if number == line)
+        found = next(b" ".join(tokens) for number, tokens in lines if number == line)
         raise InputError(
-            f'{path}, line {line}: "{shown[:60].decode("latin-1")}" cannot be read as OFF counts, '
+            f'{path}, line {line}: "{found[:60].decode("latin-1")}" cannot be read as OFF counts, '
             "position or face."
         ) from None
-    refuse_non_finite(positions, path, f'object "{stem}"')
+    refuse_non_finite(positions, path, f'object "{shown(stem)}"')
     return polygons_as_object(
         positions, np.array(corners, np.uint32), np.array(start, np.int64), path, stem
     )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -13,6 +15,10 @@ from svprep.model import F64, I64, U32, FaceFindings
 
 Report = Callable[[float], None]
 """Told the fraction of a file that is read, 0 to 1."""
+
+SHOWN_LENGTH: Final = 200
+_UNENCODABLE: Final = re.compile("[\0\ud800-\udfff]")
+_CONTROL: Final = re.compile(r"[\x01-\x08\x0e-\x1b\x7f]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +45,17 @@ def no_findings() -> FaceFindings:
 def count_of(n: int, singular: str, plural: str = "") -> str:
     """Return ``"1 face"``, ``"12 faces"``."""
     return f"{n} {singular}" if n == 1 else f"{n} {plural or singular + 's'}"
+
+
+def encodable(name: str) -> str:
+    """Return a name that UTF-8 and HDF5 can hold: U+FFFD for lone surrogates and NUL."""
+    return _UNENCODABLE.sub("\ufffd", name)
+
+
+def shown(value: object) -> str:
+    """Return a name or a value for a note or a message: one line, not very long."""
+    text = " ".join(_CONTROL.sub("\ufffd", encodable(str(value))).split())
+    return text if len(text) <= SHOWN_LENGTH else text[: SHOWN_LENGTH - 3] + "..."
 
 
 def refuse_non_finite(positions: F64, path: Path, what: str) -> None:

@@ -24,9 +24,12 @@ from svprep.ingest.parsed import (
     no_findings,
     polygons_as_object,
     refuse_non_finite,
+    shown,
 )
 from svprep.model import F64, I64, U8
 
+_RING_NAMES = ("vertex_indices", "vertex_index")
+_INTEGER = re.compile(r"[+-]?[0-9]+(\.0*)?")
 _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 
 
@@ -39,7 +42,7 @@ def read_ply(data: U8, path: Path, stem: str) -> ParsedFile:
         positions, corners, sizes = ply_binary.decode(text, path)
     else:
         positions, corners, sizes, announced = _ascii_ply(data[:-1], path)
-    refuse_non_finite(positions, path, f'object "{stem}"')
+    refuse_non_finite(positions, path, f'object "{shown(stem)}"')
     is_bad = ~((corners >= 0) & (corners < len(positions)))
     if is_bad.any():
         raise InputError(
@@ -47,7 +50,7 @@ def read_ply(data: U8, path: Path, stem: str) -> ParsedFile:
             f"to vertex {corners[is_bad][0]:g}; PLY counts from 0 to {len(positions) - 1} here."
         )
     notes = [
-        f"{count_of(n, f'{name} element')} not read"
+        f"{count_of(n, f'{shown(name)} element')} not read"
         for name, n in announced.items()
         if n and name not in ("vertex", "face")
     ]
@@ -70,6 +73,7 @@ def _ascii_ply(data: U8, path: Path) -> tuple[F64, F64, I64, dict[str, int]]:
     elements = kwargs["metadata"]["_ply_raw"]
     announced = {name: int(element["length"]) for name, element in elements.items()}
     _refuse_no_faces(announced, path)
+    _check_ascii_faces(data, elements, path)
     positions = np.ascontiguousarray(kwargs["vertices"], np.float64)
     rings = _ascii_rings(elements["face"].get("data"))
     if len(positions) != announced["vertex"] or len(rings) != announced["face"]:
@@ -82,11 +86,46 @@ def _ascii_ply(data: U8, path: Path) -> tuple[F64, F64, I64, dict[str, int]]:
     return positions, corners, sizes, announced
 
 
+def _check_ascii_faces(data: U8, elements: dict[str, Any], path: Path) -> None:
+    """Raise `InputError` at a face row that its counts do not fit, or that is not integer.
+
+    The decoder takes a row for as long as the others, and cuts decimals off.
+    """
+    lines = data.tobytes().decode().splitlines()
+    first = next(i for i, line in enumerate(lines) if "end_header" in line.split()) + 1
+    for name, element in elements.items():
+        if name == "face":
+            break
+        first += int(element["length"])
+    properties = elements["face"]["properties"]
+    lists = [name for name, kind in properties.items() if "$LIST" in kind]
+    for number in range(first, min(first + int(elements["face"]["length"]), len(lines))):
+        tokens = lines[number].split()
+        at = 0
+        is_right = True
+        for name in properties:
+            n = 1
+            if name in lists:
+                n = int(tokens[at]) if at < len(tokens) and tokens[at].isdecimal() else -1
+                at += 1
+                is_ring = name in _RING_NAMES or name == lists[0]
+                is_right &= n >= 0 and not (is_ring and not _are_integers(tokens[at : at + n]))
+            at += n
+        if not is_right or at != len(tokens):
+            raise InputError(
+                f'{path}, line {number + 1}: "{shown(lines[number])[:60]}" cannot be read as a '
+                "face: as many integers as its count says, and what else the header lists."
+            )
+
+
+def _are_integers(tokens: list[str]) -> bool:
+    return all(_INTEGER.fullmatch(token) for token in tokens)
+
+
 def _ascii_rings(data: Any) -> Any:
     """Return the corners of each polygon: rows of an array, or a list of arrays."""
-    names = ("vertex_indices", "vertex_index")
     if isinstance(data, dict):
-        found = [data[name] for name in names if name in data]
+        found = [data[name] for name in _RING_NAMES if name in data]
         return np.atleast_2d(found[0]) if found and found[0].dtype != object else (found or [[]])[0]
     return []
 
@@ -135,7 +174,7 @@ def read_stl(data: U8, path: Path, stem: str) -> ParsedFile:
             'triangles between "solid" and "endsolid".'
         )
     for name, solid_points in zip(names, points, strict=True):
-        refuse_non_finite(solid_points, path, f'object "{name}"')
+        refuse_non_finite(solid_points, path, f'object "{shown(name)}"')
     return ParsedFile(
         np.concatenate(points),
         np.arange(3 * n_found, dtype=np.uint32).reshape(-1, 3),

@@ -4,10 +4,13 @@ import gzip
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from svprep import ingest
 from svprep.errors import InputError
-from svprep.ingest import read
+from svprep.ingest import file_bytes, read
+from svprep.ingest.parsed import ParsedFile, no_findings
 
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
 
@@ -144,3 +147,55 @@ def test_damaged_gzip(tmp_path, content, problem):
     path = tmp_path / "a.obj.gz"
     path.write_bytes(content)
     assert problem in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.glb", "a.obj.gz"])
+def test_a_device(tmp_path, name):
+    (tmp_path / name).symlink_to("/dev/zero")
+    assert refusal(tmp_path / name) == (
+        f"{tmp_path / name}: this is a device, not a file; name a model file."
+    )
+
+
+def test_a_file_name_that_is_no_text(tmp_path):
+    path = tmp_path / os.fsdecode(b"\xff.obj")
+    try:
+        path.write_bytes(TRIANGLE + b"l 1 2\n")
+    except OSError:
+        pytest.skip("not run: this file system takes only UTF-8 names")
+    mesh = read([path])
+    assert mesh.object_names == ("\ufffd",)
+    assert mesh.notes[0].startswith("\ufffd.obj: 1 line element")
+
+
+def test_too_many_faces():
+    faces = np.broadcast_to(np.uint32(0), (400_000_000, 3))
+    start = np.array([0, len(faces)])
+    parsed = ParsedFile(np.zeros((3, 3)), faces, start, faces[:, 0], ("a",), no_findings(), ())
+    with pytest.raises(InputError, match=r"^800000000 triangles in all input files; one build"):
+        ingest._concatenate([parsed, parsed], [])
+
+
+def test_gzip_of_several_members_with_padding(tmp_path):
+    path = tmp_path / "a.obj.gz"
+    path.write_bytes(b"".join(gzip.compress(b) + b"\0" * 5 for b in (TRIANGLE, b"", b"f 1 3 2\n")))
+    assert read([path]).faces.tolist() == [[0, 1, 2], [0, 2, 1]]
+
+
+@pytest.mark.parametrize("packed_bytes", [1, 7, 1000])
+def test_gzip_in_blocks(tmp_path, monkeypatch, packed_bytes):
+    monkeypatch.setattr(file_bytes, "_PACKED_BYTES", packed_bytes)
+    monkeypatch.setattr(file_bytes, "_BLOCK_BYTES", 100)
+    text = TRIANGLE + b"".join(b"# %d\n" % i for i in range(3000))
+    packed = np.frombuffer(gzip.compress(text) + gzip.compress(b"end"), np.uint8)
+    assert file_bytes._unpack(Path("a.gz"), packed).tobytes() == text + b"end\n"
+    for end in (5, 20, packed.size - 1):
+        with pytest.raises(InputError, match="cut off"):
+            file_bytes._unpack(Path("a.gz"), packed[:end])
+
+
+def test_gzip_that_unpacks_to_too_much(tmp_path, monkeypatch):
+    monkeypatch.setattr(file_bytes, "_ALWAYS_UNPACKED", 1 << 20)
+    path = tmp_path / "a.obj.gz"
+    path.write_bytes(gzip.compress(bytes(40 << 20)))
+    assert f"unpacks to more than 8 MiB from {path.stat().st_size} bytes" in refusal(path)

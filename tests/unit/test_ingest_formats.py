@@ -4,6 +4,7 @@ import base64
 import hashlib
 import json
 import struct
+import time
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,13 @@ def test_off(tmp_path, header):
         ("OFF\n3 1 0\n0 0 0\n1 nan 0\n1 1 0\n3 0 1 2\n", "vertex 1 is (1, nan, 0)"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n1 1 0\n3 0 1\n", 'line 6: "3 0 1" cannot be read'),
         ("hello\n", 'line 1: not an OFF file: it begins with no "OFF"'),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n1 1 0\n3 0 1 1.5\n", 'line 6: "3 0 1 1.5" cannot be read'),
+        ("OFF\n3 1 0\n0 0 0\n1_0 0 0\n1 1 0\n3 0 1 2\n", 'line 4: "1_0 0 0" cannot be read'),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n1 1 0\n3 0 1 0_2\n", 'line 6: "3 0 1 0_2" cannot be read'),
+        (
+            "OFF\n3 1 0\n0 0 0\n1 0 0\n1 1 0\n3 0 1 2\n# c\n3 2 1 0\n",
+            "line 8: more lines than the 3 vertices and 1 faces announced",
+        ),
         ("OFF\n", "no counts"),
         ("OFF\n0 0 0\n", "no face with three different corners"),
     ],
@@ -107,6 +115,16 @@ def test_ply(tmp_path, faces, triangles, source):
     assert mesh.object_names == ("a",)
 
 
+def test_ascii_ply_with_more_properties_of_faces(tmp_path):
+    text = ply(FOUR, ["7 3 0 1 2 2 0.5 0.25 1.5", "7 3 0 2 3 0 -1"])
+    text = text.replace(RING, "property int a\n" + RING + "property list uchar float t\n" + LAST)
+    path = tmp_path / "a.ply"
+    path.write_text(text)
+    assert read([path]).faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    path.write_text(text.replace("0 -1", "1 -1"))
+    assert 'line 18: "7 3 0 2 3 1 -1" cannot be read as a face' in refusal(path)
+
+
 def test_binary_ply(tmp_path):
     path = tmp_path / "a.ply"
     text = (
@@ -133,6 +151,11 @@ def test_binary_ply(tmp_path):
         (ply(FOUR, ["3 0 1 -1"]), "face 0 refers to vertex -1"),
         (ply([*FOUR[:3], "0 nan 0"], ["3 0 1 2"]), "vertex 3 is (0, nan, 0)"),
         (ply([*FOUR[:3], "0 x 0"], ["3 0 1 2"]), "damaged, cut off or not PLY"),
+        (ply(FOUR, ["3 0 1 2", "3 0 1"]), 'line 15: "3 0 1" cannot be read as a face'),
+        (ply(FOUR, ["3 0 1 2", "3 0 1 2 3"]), 'line 15: "3 0 1 2 3" cannot be read as a face'),
+        (ply(FOUR, ["3 0 1 2", "4 0 1 2"]), 'line 15: "4 0 1 2" cannot be read as a face'),
+        (ply(FOUR, ["3 0 1 2.5"]), 'line 14: "3 0 1 2.5" cannot be read as a face'),
+        (ply(FOUR, ["-1 0 1 2"]), "line 14: "),
         (ply(FOUR, []), "no faces in this PLY file (4 vertex)"),
         ("ply\n", "a.ply: "),
         ("nothing\n", "damaged, cut off or not PLY (trimesh: Not a ply file!)"),
@@ -144,6 +167,7 @@ def test_ply_refusals(tmp_path, text, message):
     assert message in refusal(path)
 
 
+LAST = "property float w\n"
 RING = "property list uchar int vertex_indices\n"
 
 
@@ -518,6 +542,7 @@ def changed(key: str, value: object) -> dict:
     return tree
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
@@ -533,7 +558,7 @@ def changed(key: str, value: object) -> dict:
             gltf([{"mesh": 0, "scale": [1e999, 1, 1]}]),
             "node 0 is placed by a transform that is not finite",
         ),
-        (gltf([{"children": [0], "mesh": 0}]), "node 0 is its own parent"),
+        (gltf([{"children": [0], "mesh": 0}]), "node 0 is reached twice"),
         (gltf([{}]), "no triangles in any of 1 node"),
         (gltf([{"mesh": 0}], {"mode": 0}), "1 point set left out"),
         (gltf([{"mesh": 7}]), "the glTF structure is damaged (IndexError"),
@@ -549,11 +574,81 @@ def changed(key: str, value: object) -> dict:
             changed("extensionsRequired", ["KHR_materials_unlit", "FB_geometry", "MSFT_lod"]),
             "it requires FB_geometry, MSFT_lod, which is not read and may change its geometry",
         ),
+        (
+            changed("accessors/1/componentType", 5120),
+            "of componentType 5120, but indices are SCALAR",
+        ),
+        (
+            changed("accessors/1/componentType", 5126),
+            "of componentType 5126, but indices are SCALAR",
+        ),
+        (changed("accessors/1/type", "VEC3"), "accessor 1 holds no indices: its type is VEC3"),
+        (
+            changed("accessors/0/type", "VEC4"),
+            'object "M", primitive 0: its positions are not VEC3',
+        ),
+        (changed("scene", -1), "-1 is not an index"),
+        (changed("scene", True), "True is not an index"),
+        (changed("scene", 1), "it starts from scene 1, but has 1 scene"),
+        (changed("accessors/0/count", 10**15), "accessor 0 reads past the end of its buffer"),
+        (changed("bufferViews/0/byteStride", 10**30), "accessor 0 reads past the end"),
+        (
+            changed("accessors/0", {"componentType": 5126, "count": 10**15, "type": "VEC3"}),
+            "accessor 0 has no bufferView",
+        ),
+        (
+            changed("accessors/1", {"componentType": 5123, "count": 3, "type": "SCALAR"}),
+            "accessor 1 has no bufferView",
+        ),
+        (
+            gltf([{"mesh": 0, "scale": [1e308] * 3}], points=[(9, 9, 9), *POINTS]),
+            'object "M", primitive 0, placed by its nodes: vertex 0 is (inf, inf, inf)',
+        ),
+        (gltf([{"mesh": 0, "rotation": [0, 0, 0, 0]}]), "placed by a transform that is not finite"),
+        (gltf([{"mesh": 0, "matrix": [10**400] * 16}]), "damaged (OverflowError"),
+        (changed("scenes/0/nodes", [0, 0]), "node 0 is reached twice"),
+        (gltf([{"children": [1, 2]}, {"children": [2]}, {"mesh": 0}]), "node 2 is reached twice"),
+        (
+            {k: v for k, v in gltf([{"mesh": 0}, {"children": [1]}]).items() if "scene" not in k},
+            "node 1 is, or lies below, its own parent",
+        ),
+        (gltf([{"mesh": 0, "name": "x\ny" + "z" * 999}], points=[(np.inf, 0, 0)]), 'object "x yzz'),
         ({"a": 1}, 'the JSON has no "asset"'),
     ],
 )
 def test_gltf_refusals(tmp_path, tree, message):
-    assert message in refusal(write_gltf(tmp_path / "a.gltf", tree))
+    path = write_gltf(tmp_path / "a.gltf", tree)
+    assert message in refusal(path)
+    assert len(refusal(path)) < 700
+
+
+def test_gltf_that_is_nested_too_deeply(tmp_path):
+    path = tmp_path / "a.gltf"
+    path.write_text('{"asset": ' + "[" * 100_000)
+    assert "not glTF: " in refusal(path)
+
+
+def test_gltf_chain_of_very_many_nodes(tmp_path):
+    n = 100_000
+    nodes = [{"children": [i + 1]} for i in range(n)]
+    nodes[0]["translation"] = [5, 0, 0]
+    path = write_gltf(tmp_path / "a.gltf", gltf([*nodes, {"mesh": 0}]))
+    start = time.perf_counter()
+    mesh = read([path])
+    assert time.perf_counter() - start < 10  # 0.2 s; the square of n would take minutes
+    assert mesh.positions[0].tolist() == [5, 0, 0]
+
+
+def test_gltf_names_are_made_encodable(tmp_path):
+    tree = gltf([{"mesh": 0, "name": "\ud800x\0" + "y" * 500}])
+    (name,) = read([write_gltf(tmp_path / "a.gltf", tree)]).object_names
+    assert name == "\ufffdx\ufffd" + "y" * 500
+
+
+def test_gltf_buffer_that_is_a_device(tmp_path):
+    (tmp_path / "zero.bin").symlink_to("/dev/zero")
+    path = write_gltf(tmp_path / "a.gltf", changed("buffers/0/uri", "zero.bin"))
+    assert "zero.bin is a device, not a file" in refusal(path)
 
 
 # --- files by others

@@ -323,3 +323,31 @@ def test_a_file_larger_than_a_block(write):
 def test_shared_files(name, n_triangles, n_objects):
     mesh = read([shared(name)])
     assert (len(mesh.faces), len(mesh.object_names)) == (n_triangles, n_objects)
+
+
+def test_names_that_differ_only_in_bytes(write):
+    face = b"f 1 2 3\n"
+    names = [b"o caf\xe9\n", b"o caf\xc3\xa9\n", b"o caf\xe9 \n"]
+    mesh = read([write(SQUARE.encode() + b"".join(name + face for name in names))])
+    assert mesh.object_names == ("café", "café")
+    assert mesh.object_face_start.tolist() == [0, 2, 3]
+    assert mesh.source_face.tolist() == [0, 2, 1]
+
+
+@pytest.mark.parametrize("keyword", ["f", "o", "v", "", "usemtl"])
+def test_a_keyword_behind_a_nul_is_unknown(write, keyword):
+    text = "#" * 5000 + "\n" + SQUARE + "f 1 2 3\n\0" + keyword + " 1 3 4\nf 2 3 4\n"
+    mesh = read([write(text)])
+    assert mesh.faces.tolist() == [[0, 1, 2], [1, 2, 3]]
+    assert mesh.object_names == ("house",)
+    assert mesh.notes == (
+        "house.obj: 1 statement with a keyword that OBJ does not have left out: "
+        f'"\ufffd{keyword}" (line 7)',
+    )
+
+
+def test_very_long_names_are_shortened_in_notes_only(write):
+    name = "n" * 999
+    mesh = read([write(f"{SQUARE}o {name}\nf 1 2 3\no {name}x\n")])
+    assert mesh.object_names == (name,)
+    assert mesh.notes == (f'house.obj: 1 object without faces left out: "{"n" * 197}..."',)
