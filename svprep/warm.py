@@ -10,6 +10,7 @@ for the other; without the second process the build only takes longer.
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import subprocess
 import sys
@@ -45,6 +46,7 @@ def compile_last_first() -> None:
 
     from numba.core.sigutils import normalize_signature
 
+    gc.disable()  # this process only compiles, and ends
     for name, signature in SIGNATURES.items():
         module, function = name.split(".")
         kernel = getattr(import_module(f"svprep.kernels.{module}"), function)
