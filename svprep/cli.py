@@ -190,7 +190,7 @@ def main() -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run one command and return its exit status (DESIGN section 6)."""
+    """Run one command and return its exit status; README lists what each one means."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a name that the locale cannot show is escaped
             stream.reconfigure(errors="backslashreplace")

@@ -250,7 +250,7 @@ def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
                 )
     line = (
         f"{N_LIGHTS} lights: multiplicities equal the triangles' own on "
-        f"{len(sums.edges):,} edges; robust and closed volumes are closed"
+        f"{sums.n_edges:,} edges; robust and closed volumes are closed"
     )
     return line, problems
 

@@ -81,7 +81,7 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
         groups, mate = _pair_all(mesh, points)
     lowest = component_face_start[:-1].astype(np.int32)
 
-    flags, n_touching, n_flat = _judge_components(
+    flags, is_touching, is_flat = _judge_components(
         mesh, points, mate, component, component_face_start, is_flipped
     )
     component_start = np.searchsorted(lowest, mesh.object_face_start)
@@ -100,8 +100,8 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
     counts[Code.OPPOSITE_FACE] = _per_range(is_opposite, mesh.object_face_start)
     counts[Code.FLIPPED_FACE] = _per_range(is_flipped, mesh.object_face_start)
     counts[Code.INVERTED_COMPONENT] = _per_range(inverted, component_start)
-    counts[Code.SELF_INTERSECTION] = _per_range(n_touching, component_start)
-    counts[Code.FLAT_COMPONENT] = _per_range(n_flat, component_start)
+    counts[Code.SELF_INTERSECTION] = _per_range(is_touching, component_start)
+    counts[Code.FLAT_COMPONENT] = _per_range(is_flat, component_start)
     return repaired, RepairReport(
         duplicates=duplicates,
         flipped_faces=np.flatnonzero(is_flipped).astype(np.uint32),

@@ -1,4 +1,4 @@
-"""Who may import whom (DESIGN.md, section 7): a layer that leaks is an error here."""
+"""Who may import whom: a layer that leaks is an error here."""
 
 from __future__ import annotations
 
