@@ -8,13 +8,37 @@ or uploaded to the GPU, reads the result of `facing`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from svprep.errors import InputError
-from svprep.model import F64
+from svprep.kernels.search import facing_of_planes
+from svprep.model import F32, F64, I8
 
 
-def facing(planes: F64, light: ArrayLike) -> NDArray[np.int8]:
+def checked_light(light: ArrayLike) -> F32:
+    """Return ``(4,) float32``: `light`, or raise.
+
+    Raises
+    ------
+    InputError
+        It is not four finite numbers ``(x, y, z, 1)`` or ``(x, y, z, 0)``, or names no
+        direction.
+    """
+    try:
+        with np.errstate(over="ignore"):
+            given = np.array(light, np.float32)
+    except (TypeError, ValueError):
+        given = np.zeros(0, np.float32)
+    if given.shape != (4,) or not np.isfinite(given).all() or given[3] not in (0.0, 1.0):
+        raise InputError(
+            f"a light is four finite numbers (x, y, z, 1) or (x, y, z, 0), not {light!r}"
+        )
+    if not given.any():
+        raise InputError("a light of (0, 0, 0, 0) names no direction")
+    return given
+
+
+def facing(planes: F64, light: ArrayLike) -> I8:
     """Return ``(n_planes,) int8``: +1 facing the light, -1 turned away, 0 edge-on.
 
     Parameters
@@ -32,16 +56,13 @@ def facing(planes: F64, light: ArrayLike) -> NDArray[np.int8]:
 
     Notes
     -----
-    ``s = sign(((nx x + ny y) + nz z) + d w)`` in float64, summed in this order.
-    Zero is a tie: the face is edge-on, casts nothing and is not lit.
+    ``s = sign(((nx x + ny y) + nz z) + d w)`` in float64, summed in this order, by
+    `kernels.search._side`. Zero is a tie: the face is edge-on, casts nothing and is
+    not lit.
     """
-    given = np.asarray(light, np.float32)
-    if given.shape != (4,) or not np.isfinite(given).all() or given[3] not in (0.0, 1.0):
-        raise InputError(
-            f"a light is four finite numbers (x, y, z, 1) or (x, y, z, 0), not {light!r}"
-        )
-    x, y, z, w = given.astype(np.float64)
-    value = planes[:, 0] * x + planes[:, 1] * y + planes[:, 2] * z
-    if w != 0.0:
-        value += planes[:, 3]
-    return np.sign(value).astype(np.int8)
+    x, y, z, w = (float(v) for v in checked_light(light))
+    records = np.ascontiguousarray(planes, np.float64).view()
+    records.flags.writeable = False
+    s = np.empty(len(records), np.int8)
+    facing_of_planes(records, x, y, z, w, s)
+    return s

@@ -33,8 +33,11 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
+I8 = NDArray[np.int8]
+I16 = NDArray[np.int16]
 U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
+U64 = NDArray[np.uint64]
 BOOL = NDArray[np.bool_]
 
 
@@ -217,6 +220,47 @@ class RepairRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class SilhouetteTree:
+    """A hierarchy over the searched edges of objects, for one kind of bounds."""
+
+    edge: U32
+    """``(n_indexed_edges,)``: edge records in the order of the tree, per object."""
+    blocks: I16
+    """``(n_blocks, 8, 8)``: bounds of 8 children a block; `SilhouetteIndex`."""
+    expected_work: F32
+    """``(n_trees, 2)``: edges and nodes that a query tests, on average over a fixed
+    set of lights."""
+
+
+@dataclass(frozen=True, slots=True)
+class SilhouetteIndex:
+    """Two hierarchies over the pairs that may be silhouette, for objects with many.
+
+    Searched are the records of kind `PAIR` that are not planar. Edges, in the order
+    of a tree, fill leaves of 8; leaves fill blocks of 8 lanes, blocks the blocks
+    above, up to one. An object's blocks follow each other level by level, from the
+    top: block b of a level bounds the blocks ``8 b .. 8 b + 7`` of the next.
+
+        blocks[b, number, lane]     dual box      sphere and cone
+                  0 1 2 3           its centre    centre (x, y, z), radius
+                  4 5 6 7           half extents  axis (x, y, z), sine of half-angle
+
+    All in the object's frame: about its centre, in units of its radius. A plane
+    record is the dual point ``(n / |n|, (d + n . c) / (r |n|))``, a light
+    ``((L - w c) / r, w)``. A sine of 2: the cone holds a half-space.
+    """
+
+    objects: U32
+    """``(n_trees,)``, ascending: the objects that have trees."""
+    frames: F32
+    """``(n_trees, 4)``: centre and radius of each [m]."""
+    pair_start: I64
+    """``(n_trees + 1,)``: where each one's edges begin in either tree."""
+    cones: SilhouetteTree
+    hextree: SilhouetteTree
+
+
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Prepared:
     """A whole prepared city: what `pipeline.prepare` returns and a cache holds."""
 
@@ -228,6 +272,7 @@ class Prepared:
     components: Components
     planes: PlaneTable
     edges: EdgeTable
+    index: SilhouetteIndex
     repair: RepairRecord
     config: dict[str, object]
     """What the build was asked for: JSON values only; the same configuration and

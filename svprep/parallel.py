@@ -7,12 +7,16 @@ threads need no locks and the outcome cannot depend on their number.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 
 from svprep.model import I64
+
+T = TypeVar("T")
 
 _SMALLEST_SHARE = 20_000
 """Work items below which a second thread costs more than it brings."""
@@ -44,3 +48,24 @@ def for_ranges(start: I64, work: Callable[[int, int], object]) -> None:
     with ThreadPoolExecutor(n_threads) as pool:
         for future in [pool.submit(work, begin, end) for begin, end in ranges]:
             future.result()
+
+
+def run_together(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """Run `tasks` at the same time, the first one here; return what they return.
+
+    The threads stay for the next call: starting one takes longer than many a task.
+    """
+    if len(tasks) < 2:
+        return [task() for task in tasks]
+    others = [_pool(max(thread_count(), len(tasks)) - 1).submit(task) for task in tasks[1:]]
+    first = tasks[0]()
+    return [first, *(future.result() for future in others)]
+
+
+@lru_cache(maxsize=1)
+def _pool(n_threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(n_threads, thread_name_prefix="svprep")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork

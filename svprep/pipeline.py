@@ -17,6 +17,7 @@ from svprep.model import Prepared, SourceMesh
 from svprep.planes import build_planes
 from svprep.repair.stage import record, repair
 from svprep.repair.weld import weld
+from svprep.silhouette.index import build_index
 
 if TYPE_CHECKING:
     from svprep.cache.writer import CacheSummary
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 StageHook = Callable[[str], None]
 """Called with a stage's name when it starts: ``"load"``, ``"weld"``, ..."""
 
-STAGES = ("load", "weld", "repair", "planes", "edges", "write")
+STAGES = ("load", "weld", "repair", "planes", "edges", "silhouettes", "write")
 CACHE_SUFFIX = ".svp.h5"
 
 
@@ -100,7 +101,8 @@ def prepare(source: SourceMesh, config: BuildConfig, on_stage: StageHook | None 
     The order is forced. Welding comes first, because faces meet only where
     they share vertices. Repair needs them to meet, and decides winding before
     it splits edges, since pairs are pairs of faces that wind alike. Planes
-    spread over pairs. The edge table comes last: it marks edges within a plane.
+    spread over pairs. The edge table marks edges within a plane, which the
+    silhouette trees leave out; so they come last.
     """
     stage = on_stage or (lambda name: None)
     stage("weld")
@@ -119,6 +121,8 @@ def prepare(source: SourceMesh, config: BuildConfig, on_stage: StageHook | None 
     planes = build_planes(repaired)
     stage("edges")
     edges, components = build_edges(repaired, planes)
+    stage("silhouettes")
+    index = build_index(repaired.mesh, components, planes, edges)
     return Prepared(
         sources=source.sources,
         object_names=source.object_names,
@@ -127,6 +131,7 @@ def prepare(source: SourceMesh, config: BuildConfig, on_stage: StageHook | None 
         components=components,
         planes=planes,
         edges=edges,
+        index=index,
         repair=record(source, weld_report, repair_report),
         config=asdict(config),
         notes=source.notes,

@@ -20,6 +20,16 @@ from pathlib import Path
 from svprep.parallel import thread_count
 
 SIGNATURES: dict[str, str] = {
+    "tree_build.write_cones": (
+        "(f8[:,::1],u4[:,::1],u4[:,::1],f4[:,::1],f4[:,::1],i8[:,::1],f8,i8,i8,i2[::1])"
+    ),
+    "tree_build.write_boxes": (
+        "(f8[:,::1],u4[:,::1],f4[:,::1],i8[:,::1],i8,i8,f8[:,::1],f8[:,::1],i2[::1])"
+    ),
+    "tree_build.order_pairs": "(f4[:,::1],u4[::1],i8[::1],i8,i8)",
+    "tree_build.write_keys": (
+        "(f8[:,::1],u4[:,::1],u4[:,::1],f4[:,::1],f4[:,::1],i8[::1],i8,i8,f4[:,::1],f4[:,::1])"
+    ),
     "self_contact.touches_itself": "(i8[:,::1],u4[:,::1],i8[::1],i8[::1],i8,i8,b1[::1])",
     "half_edges.write_edge_rows": (
         "(u4[:,::1],i4[::1],i8[::1],i4[::1],i8[::1],u4[::1],u4[:,::1],u1[::1])"
@@ -87,7 +97,7 @@ def second_compiler() -> Iterator[None]:
 
 def _is_compiled() -> bool:
     """Whether Numba's cache holds the first kernel that `compile_last_first` makes."""
-    from svprep.kernels.self_contact import touches_itself
+    from svprep.kernels.tree_build import write_cones
 
-    folder = touches_itself.stats.cache_path
-    return folder is None or any(Path(folder).glob("self_contact.touches_itself-*.nbi"))
+    folder = write_cones.stats.cache_path
+    return folder is None or any(Path(folder).glob("tree_build.write_cones-*.nbi"))

@@ -32,6 +32,8 @@ from svprep.model import (
     PlaneTable,
     Prepared,
     RepairRecord,
+    SilhouetteIndex,
+    SilhouetteTree,
     SourceFile,
 )
 
@@ -80,6 +82,7 @@ def encode_datasets(prepared: Prepared) -> dict[str, Raw]:
         "planes/plane_of_face": _as("plane_of_face", prepared.planes.plane_of_face, "<u4", (-1,)),
         "edges/half_edges": half_edges_of_rows(corners, _as("rows", edges.rows, "<u4", (-1, 4))),
         "edges/flags": _as("edges.flags", edges.flags, "|u1", (-1,)),
+        **_index_datasets(prepared.index),
         "repair/count_object": count_object,
         "repair/count_code": count_code,
         "repair/count": count,
@@ -91,6 +94,19 @@ def encode_datasets(prepared: Prepared) -> dict[str, Raw]:
         "repair/finding_source_face": _as("finding face", findings.source_face, "<u4", (-1,)),
         "repair/flipped_faces": _as("flipped_faces", prepared.repair.flipped_faces, "<u4", (-1,)),
     }
+
+
+def _index_datasets(index: SilhouetteIndex) -> dict[str, Raw]:
+    arrays = {
+        "index/object": _as("index.objects", index.objects, "<u4", (-1,)),
+        "index/frame": _as("index.frames", index.frames, "<f4", (-1, 4)),
+        "index/pair_start": _offsets("index.pair_start", index.pair_start),
+    }
+    for group, tree in (("cones", index.cones), ("hextree", index.hextree)):
+        arrays[f"{group}/edge"] = _as(f"{group}.edge", tree.edge, "<u4", (-1,))
+        arrays[f"{group}/blocks"] = _as(f"{group}.blocks", tree.blocks, "<i2", (-1, 8, 8))
+        arrays[f"{group}/work"] = _as(f"{group}.work", tree.expected_work, "<f4", (-1, 2))
+    return arrays
 
 
 def encode_attributes(prepared: Prepared, crs: str = "") -> dict[str, bytes | Raw]:
@@ -319,6 +335,25 @@ def decode_edges(fetch: Fetch) -> EdgeTable:
     half = _native(fetch("edges/half_edges"), np.uint32)
     flags: U8 = _native(fetch("edges/flags"), np.uint8)
     return EdgeTable(rows=frozen(rows_of_half_edges(corners, half)), flags=flags)
+
+
+def decode_index(fetch: Fetch) -> SilhouetteIndex:
+    """Return the silhouette trees of a cache."""
+
+    def tree(group: str) -> SilhouetteTree:
+        return SilhouetteTree(
+            edge=_native(fetch(f"{group}/edge"), np.uint32),
+            blocks=_native(fetch(f"{group}/blocks"), np.int16),
+            expected_work=_native(fetch(f"{group}/work"), np.float32),
+        )
+
+    return SilhouetteIndex(
+        objects=_native(fetch("index/object"), np.uint32),
+        frames=_native(fetch("index/frame"), np.float32),
+        pair_start=_native(fetch("index/pair_start"), np.int64),
+        cones=tree("cones"),
+        hextree=tree("hextree"),
+    )
 
 
 def decode_repair(fetch: Fetch, n_objects: int) -> RepairRecord:

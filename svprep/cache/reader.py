@@ -53,6 +53,7 @@ from svprep.model import (
     PlaneTable,
     Prepared,
     RepairRecord,
+    SilhouetteIndex,
     SourceFile,
 )
 
@@ -215,6 +216,12 @@ class Cache:
             return codec.decode_edges(self.raw)
 
     @cached_property
+    def index(self) -> SilhouetteIndex:
+        """Silhouette trees."""
+        with self._damage_named("the silhouette trees"):
+            return codec.decode_index(self.raw)
+
+    @cached_property
     def repair(self) -> RepairRecord:
         """What weld and repair decided."""
         with self._damage_named("the repair record"):
@@ -230,6 +237,7 @@ class Cache:
             components=self.components,
             planes=self.planes,
             edges=self.edges,
+            index=self.index,
             repair=self.repair,
             config=self.config,
             notes=self.notes,

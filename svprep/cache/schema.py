@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC: Final = "svprep-cache"
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 
 LIBVER: Final = ("v108", "v108")
 """HDF5 format bounds. Version 1.8 (2008) is the first that checksums its own
@@ -99,6 +99,7 @@ class AttributeSpec:
 V, F, O = Dim("n_vertices"), Dim("n_faces"), Dim("n_objects")  # noqa: E741
 C, P, E = Dim("n_components"), Dim("n_planes"), Dim("n_edges")
 SOURCES = Dim("n_sources")
+T, I, B = Dim("n_trees"), Dim("n_indexed_edges"), Dim("n_blocks")  # noqa: E741
 
 DATASETS: Final[tuple[DatasetSpec, ...]] = (
     DatasetSpec(
@@ -226,7 +227,7 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         "<u4",
         (F,),
         "",
-        "Plane record of each face. No vertex of the face lies farther from the record's plane "
+        "Plane record of each face; records are numbered by their lowest face. No vertex of the face lies farther from the record's plane "
         "than `planar_tolerance_m`, and the face is tilted against it by at most 0.0002 rad.",
         "index",
         P,
@@ -250,6 +251,76 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         "Bits 0-1: kind, 0 pair (an edge of exactly two faces), 1 border (one face, or half of "
         "a cut edge), 2 split (from an edge of three or more faces). Bit 2: planar, both faces "
         "share a plane record.",
+    ),
+    DatasetSpec(
+        "index/object",
+        "<u4",
+        (T,),
+        "",
+        "The objects that have silhouette trees, ascending.",
+        "index",
+        O,
+    ),
+    DatasetSpec(
+        "index/frame",
+        "<f4",
+        (T, 4),
+        "m",
+        "Centre (x, y, z) and radius of each one's frame.",
+    ),
+    DatasetSpec(
+        "index/pair_start",
+        "<u4",
+        (T._replace(plus=1),),
+        "",
+        "Tree i holds the edges start[i] to start[i + 1] - 1 of `cones/edge` and of "
+        "`hextree/edge`.",
+        "offsets",
+        I,
+    ),
+    *(
+        spec
+        for group, bounds, fields in (
+            (
+                "cones",
+                "spheres with normal cones",
+                "centre (x, y, z), radius, axis (x, y, z), sine of the half-angle, in 1/32000; a "
+                "sine of 32000 bounds nothing",
+            ),
+            (
+                "hextree",
+                "boxes of dual points",
+                "centre (x, y, z, d), half extents (x, y, z, d), in 1/32000, the fourth of each in "
+                "2/32000",
+            ),
+        )
+        for spec in (
+            DatasetSpec(
+                f"{group}/edge",
+                "<u4",
+                (I,),
+                "",
+                f"Edge records in the order of the tree of {bounds}: all pairs of the object "
+                "that are not planar. Leaf j of a tree has its edges 8 j to 8 j + 7.",
+                "index",
+                E,
+            ),
+            DatasetSpec(
+                f"{group}/blocks",
+                "<i2",
+                (B, 8, 8),
+                "1/32000",
+                f"The tree's bounds, [block, number, lane]: {fields}. Section Silhouette trees.",
+            ),
+            DatasetSpec(
+                f"{group}/work",
+                "<f4",
+                (T, 2),
+                "",
+                "Edges and nodes that a query of this tree tests, on average over a fixed set of "
+                "lights.",
+            ),
+        )
     ),
     DatasetSpec(
         "repair/count_object",
