@@ -9,10 +9,19 @@ nothing here imports what it judges.
     contact.py   whether two triangles meet, in rational arithmetic
     sums.py      facing, and the multiplicity of every edge from triangles and from records
     volumes.py   how many faces shade a point, from triangles and from volumes
+
+and of silhouettes, for a light:
+
+    silhouettes.py   every edge record looked at, in float64: the twin of all methods
+    edge_lists.py    walking over faces: edge elimination and the edge buffer
+    hextree.py       the published index, to compare its work with ours
 """
 
 from svprep.reference.contact import triangles_touch
+from svprep.reference.edge_lists import edge_buffer, eliminate_edges
+from svprep.reference.hextree import Hextree, HextreeVisit, build_hextree, visit_hextree
 from svprep.reference.pairing import pair_edges
+from svprep.reference.silhouettes import SilhouetteRows, SilhouetteTwin
 from svprep.reference.sums import EdgeSums, edge_multiplicity, facing, multiplicity_of_rows
 from svprep.reference.tables import (
     check_planes,
@@ -27,11 +36,18 @@ from svprep.reference.volumes import Counts, closed_count, robust_count, volume_
 __all__ = [
     "Counts",
     "EdgeSums",
+    "Hextree",
+    "HextreeVisit",
+    "SilhouetteRows",
+    "SilhouetteTwin",
+    "build_hextree",
     "check_planes",
     "closed_count",
     "components",
+    "edge_buffer",
     "edge_multiplicity",
     "edge_rows",
+    "eliminate_edges",
     "facing",
     "first_equal_row",
     "group_edges",
@@ -39,6 +55,7 @@ __all__ = [
     "pair_edges",
     "robust_count",
     "triangles_touch",
+    "visit_hextree",
     "volume_count",
     "weld",
 ]
