@@ -182,6 +182,54 @@ def validate(
         raise typer.Exit(1)
 
 
+@app.command()
+def silhouette(
+    cache: Annotated[Path, typer.Argument(metavar="CACHE")],
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SPEC",
+            help="dir:AZIMUTH,ALTITUDE in degrees, clockwise from north and above the horizon, "
+            "or point:X,Y,Z in input coordinates. Needed, once.",
+        ),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="M",
+            help="How to search: auto, brute, edge_buffer, elimination, flat, cones or hextree. "
+            "The result is the same.",
+        ),
+    ] = "auto",
+    volume: Annotated[
+        str,
+        typer.Option(
+            metavar="V", help="auto (closed where that is right), closed or robust everywhere."
+        ),
+    ] = "auto",
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only objects of exactly this name; may be repeated."),
+    ] = None,
+    output: Annotated[
+        str | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Write lines: .ply, .obj or .npz."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the edges at which the shadow volumes of one light begin."""
+    from svprep import cli_silhouette
+
+    query = cli_silhouette.query_of(cache, light or [], method, volume, objects or [], output)
+    _cache_not_model(cache)
+    summary = cli_silhouette.answer(query)
+    if as_json:
+        print(json.dumps(summary))
+        return
+    for line in cli_silhouette.summary_lines(summary):
+        print(_plain(line))
+
+
 def main() -> None:
     """Run the command line and leave with its exit status; no traceback reaches a user."""
     # Compiling makes millions of short-lived objects that are in no cycle: look less often.

@@ -142,6 +142,12 @@ def test_the_cache_imports_no_preparing_stage(module: str) -> None:
     assert not [name for name in imported(module) if is_in(name, *stages)]
 
 
+@pytest.mark.parametrize("module", part("silhouette"))
+def test_silhouettes_import_no_preparing_stage(module: str) -> None:
+    stages = [f"svprep.{stage}" for stage in PREPARING]
+    assert not [name for name in imported(module) if is_in(name, *stages)]
+
+
 @pytest.mark.parametrize("module", [m for m in part("kernels") if m != "svprep.kernels"])
 def test_a_kernel_is_a_file_for_itself(module: str) -> None:
     # Numba's cache does not notice a change in an imported file.
@@ -168,6 +174,12 @@ def test_the_model_needs_numpy_only() -> None:
 @pytest.mark.parametrize("module", ["svprep.errors", "svprep.defects"])
 def test_errors_and_defects_need_nothing(module: str) -> None:
     assert tops(imported(module)) <= STDLIB
+
+
+def test_a_light_needs_the_model_and_errors_only() -> None:
+    names = imported("svprep.light")
+    assert tops(names) <= STDLIB | {"numpy", "svprep"}
+    assert {n for n in names if is_in(n, "svprep")} <= {"svprep.model", "svprep.errors"}
 
 
 @pytest.mark.parametrize(

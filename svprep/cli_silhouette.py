@@ -1,0 +1,207 @@
+"""What ``svprep silhouette`` does with its options: ask, time, sum up, say it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import typer
+
+from svprep.cache.reader import Cache, open_cache
+from svprep.errors import InputError
+from svprep.light import FORMS, Light, parse_light
+from svprep.silhouette import METHODS, VOLUMES, Silhouette, silhouette
+from svprep.silhouette.lines import (
+    LINE_SUFFIXES,
+    check_lines_path,
+    line_suffix,
+    silhouette_lines,
+    write_lines,
+)
+
+if TYPE_CHECKING:
+    from svprep.model import I64
+    from svprep.silhouette import Method, Volume
+
+_Name = TypeVar("_Name", bound=str)
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """The options of one call, each already known to be of its kind."""
+
+    cache: Path
+    light: Light
+    method: Method
+    volume: Volume
+    object_names: tuple[str, ...]
+    """Empty: all objects."""
+    output: str | None
+
+
+def query_of(
+    cache: Path,
+    lights: Sequence[str],
+    method: str,
+    volume: str,
+    object_names: Sequence[str],
+    output: str | None,
+) -> Query:
+    """Return the options as a query.
+
+    Raises
+    ------
+    typer.BadParameter
+        A usage error: no light or several, an unknown method, volume or suffix.
+    InputError
+        The light is not one.
+    """
+    if not lights:
+        raise typer.BadParameter(f"name the light with --light SPEC: {FORMS}")
+    if len(lights) > 1:
+        raise typer.BadParameter(f"a silhouette is of one light; {len(lights)} --light were given")
+    if output is not None and line_suffix(output) not in LINE_SUFFIXES:
+        raise typer.BadParameter(f"{output}: lines are written as .ply, .obj or .npz; name it so")
+    known_method = _one_of("--method", method, METHODS)
+    known_volume = _one_of("--volume", volume, VOLUMES)
+    light = parse_light(lights[0])
+    return Query(cache, light, known_method, known_volume, tuple(object_names), output)
+
+
+def _one_of(option: str, given: str, known: tuple[_Name, ...]) -> _Name:
+    for name in known:
+        if name == given:
+            return name
+    raise typer.BadParameter(f'{option} "{given}" is none of {", ".join(known)}')
+
+
+def answer(query: Query) -> dict[str, Any]:
+    """Return the summary of a silhouette, its lines written where they were asked for.
+
+    Raises
+    ------
+    InputError, CacheError, EnvironmentProblem
+        An unknown object, a light out of reach, a bad cache, an output that
+        cannot be written (told before the tables are loaded).
+    """
+    if query.output is not None:
+        check_lines_path(query.output, [query.cache])
+    started = time.perf_counter()
+    with open_cache(query.cache) as cache:
+        if query.output is not None:
+            check_lines_path(query.output, [s.path for s in cache.sources])
+        light = query.light.in_cache_frame(cache.grid)
+        objects = objects_named(cache, query.object_names) if query.object_names else None
+        # Tables are read, what is derived from them is made, and compiled code is loaded
+        # at the first query: ask one of a single object, so that the time of the real
+        # one is that of a silhouette (the first; later ones are faster still).
+        _ = cache.mesh
+        one = np.arange(min(1, cache.n_objects))
+        silhouette(cache, light, query.method, volume=query.volume, objects=one)
+        loaded = time.perf_counter()
+        found = silhouette(cache, light, query.method, volume=query.volume, objects=objects)
+        asked = time.perf_counter()
+        summary = _summary(query, cache, found)
+        if query.output is not None:
+            lines = silhouette_lines(found, cache)
+            write_lines(lines, query.output)
+            summary["output"] = query.output
+            summary["output_vertices"] = len(lines.positions)
+    summary["load_seconds"] = round(loaded - started, 4)
+    summary["query_ms"] = round((asked - loaded) * 1e3, 4)
+    return summary
+
+
+def objects_named(cache: Cache, names: tuple[str, ...]) -> I64:
+    """Return the objects, ascending, that bear one of `names`.
+
+    Raises
+    ------
+    InputError
+        No object is called so: names what comes close.
+    """
+    known = cache.object_names
+    for name in names:
+        if name in known:
+            continue
+        # Names that differ only in case come first, which difflib does not see to.
+        folded = [k for k in known if k.casefold() == name.casefold()]
+        close = list(dict.fromkeys(folded + get_close_matches(name, known, n=3)))[:3]
+        hint = f"close to it: {', '.join(map(repr, close))}" if close else "none comes close"
+        raise InputError(
+            f'no object "{name}" among the {len(known):,} of {cache.path}; {hint}. '
+            "All names: svprep build --report FILE.csv, or open_cache(CACHE).object_names "
+            "in Python"
+        )
+    wanted = frozenset(names)
+    return np.flatnonzero([name in wanted for name in known])
+
+
+def _summary(query: Query, cache: Cache, found: Silhouette) -> dict[str, Any]:
+    light = query.light
+    at = found.light[:3].astype(np.float64)
+    size = np.abs(found.multiplicity.astype(np.int64))
+    summary: dict[str, Any] = {
+        "cache": str(query.cache),
+        "light": {
+            "spec": light.spec,
+            "words": light.words,
+            "cache_frame": found.light.tolist(),
+            "distance_m": round(float(np.linalg.norm(at)), 3) if light.w else None,
+        },
+        "method": found.method,
+        "volume": query.volume,
+        "objects": len(found.objects),
+        "objects_in_cache": cache.n_objects,
+        "edges": len(found),
+        "double_edges": int(np.count_nonzero(size == 2)),
+        "sides": int(size.sum()),
+        "edge_records": cache.n_edges,
+        "edges_visited": found.work.n_edges,
+        "nodes_tested": found.work.n_nodes,
+    }
+    if query.object_names:
+        begin, end = found.object_start[:-1].tolist(), found.object_start[1:].tolist()
+        summary["per_object"] = [
+            {
+                "object_index": int(i),
+                "object": cache.object_names[i],
+                "edges": end[k] - begin[k],
+                "double_edges": int(np.count_nonzero(size[begin[k] : end[k]] == 2)),
+                "sides": int(size[begin[k] : end[k]].sum()),
+            }
+            for k, i in enumerate(found.objects.tolist())
+        ]
+    return summary
+
+
+def summary_lines(summary: dict[str, Any]) -> list[str]:
+    """Return a summary as the lines that people read."""
+    light = summary["light"]
+    where = light["words"]
+    if light["distance_m"] is not None:
+        where += f", {light['distance_m']:,.1f} m from the middle of the model"
+    few = summary["objects"] < summary["objects_in_cache"]
+    of = f" of {summary['objects_in_cache']:,}" if few else ""
+    lines = [
+        f"light    {where}",
+        f"method   {summary['method']}, volume {summary['volume']}, {summary['objects']:,}{of} "
+        "objects",
+        f"found    {summary['edges']:,} silhouette edges, {summary['double_edges']:,} of them "
+        f"with |m| = 2; they need {summary['sides']:,} sides",
+        f"work     {summary['edges_visited']:,} of {summary['edge_records']:,} edge records "
+        f"visited, {summary['nodes_tested']:,} nodes tested",
+        f"time     {summary['query_ms']:,.1f} ms for the first query, after "
+        f"{summary['load_seconds']:.2f} seconds of loading",
+    ]
+    if "output" in summary:
+        lines.append(
+            f"lines    {summary['output']} ({summary['edges']:,} lines, "
+            f"{summary['output_vertices']:,} vertices)"
+        )
+    return lines
