@@ -1,0 +1,1 @@
+"""What `benchmark_silhouette.py` is made of: data, baselines, measuring, report."""
