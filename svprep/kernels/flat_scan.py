@@ -10,10 +10,69 @@ Indices are unsigned: signed ones could count from the end, which costs a test e
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from llvmlite import binding, ir
+from numba import config, njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 _STEP = np.uint64(4096)
 _LOW = np.uint64(0xFFFFFFFF)
+_WIDTH = 16
+
+
+def _can_pack() -> bool:
+    """Whether compiled code may use the instructions of `_pack` (AVX-512 VBMI2).
+
+    Not if Numba was told to compile for another processor than this one.
+    """
+    if config.CPU_NAME or config.CPU_FEATURES:
+        return False
+    features = binding.get_host_cpu_features()
+    return all(features.get(name) for name in ("avx512f", "avx512vl", "avx512vbmi2"))
+
+
+_CAN_PACK = _can_pack()
+
+
+@intrinsic
+def _pack(typing, record, r, m, i, edge, multiplicity, n):
+    """Append those of 16 records whose m is not zero; return the next free row.
+
+    Reads ``record[r : r + 16]``, ``m[i : i + 16]``; writes 16 rows from n on, of which
+    only the first ones hold something.
+    """
+    u64 = types.uint64
+    signature = u64(record, u64, m, u64, edge, multiplicity, u64)
+
+    def generate(context, builder, signature, arguments):
+        def at(array, offset, element):
+            """Return a pointer to 16 elements of an argument."""
+            array_type = signature.args[array]
+            data = context.make_array(array_type)(context, builder, arguments[array]).data
+            return builder.bitcast(
+                builder.gep(data, [arguments[offset]]),
+                ir.VectorType(element, _WIDTH).as_pointer(),
+            )
+
+        i8, i32 = ir.IntType(8), ir.IntType(32)
+        values = builder.load(at(2, 3, i8), align=1)
+        is_kept = builder.icmp_signed("!=", values, ir.Constant(values.type, [0] * _WIDTH))
+        ids = builder.load(at(0, 1, i32), align=4)
+        for vector, array, name in ((ids, 4, "v16i32"), (values, 5, "v16i8")):
+            packed = builder.call(
+                cgutils.get_or_insert_function(
+                    builder.module,
+                    ir.FunctionType(vector.type, [vector.type, vector.type, is_kept.type]),
+                    f"llvm.x86.avx512.mask.compress.{name}",
+                ),
+                [vector, ir.Constant(vector.type, ir.Undefined), is_kept],
+            )
+            bits = vector.type.element.width
+            builder.store(packed, at(array, 6, vector.type.element), align=bits // 8)
+        kept = builder.ctpop(builder.bitcast(is_kept, ir.IntType(_WIDTH)))
+        return builder.add(arguments[6], builder.zext(kept, ir.IntType(64)))
+
+    return signature, generate
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
@@ -87,6 +146,10 @@ def compress(
         shift = np.uint64(to[k] - begin[k])
         if r == np.uint64(begin[k]):
             start[k] = n
+        if _CAN_PACK:
+            while r + np.uint64(_WIDTH) <= stop and n + np.uint64(_WIDTH) <= n_end:
+                n = _pack(record, r, m, r + shift, edge, multiplicity, n)
+                r += np.uint64(_WIDTH)
         n_left = n_end - n
         if n_left > stop - r:
             # Without a branch: a zero is written too, and overwritten by the next row,
@@ -97,31 +160,22 @@ def compress(
                 multiplicity[n] = value
                 n += np.uint64(value != 0)
                 r += np.uint64(1)
-        elif np.uint64(8) * n_left < stop - r:
-            # Few are left of many: eight zeros at a time.
-            while n < n_end and r < stop:
-                while r + np.uint64(8) <= stop:
-                    i = r + shift
-                    some = m[i] | m[i + np.uint64(1)] | m[i + np.uint64(2)] | m[i + np.uint64(3)]
-                    some |= m[i + np.uint64(4)] | m[i + np.uint64(5)]
-                    some |= m[i + np.uint64(6)] | m[i + np.uint64(7)]
-                    if some != 0:
-                        break
+        # Few rows are left for many records: eight zeros at a time.
+        is_sparse = np.uint64(8) * n_left < stop - r
+        while r < stop and n < n_end:
+            if is_sparse and r + np.uint64(8) <= stop:
+                i = r + shift
+                some = m[i] | m[i + np.uint64(1)] | m[i + np.uint64(2)] | m[i + np.uint64(3)]
+                some |= m[i + np.uint64(4)] | m[i + np.uint64(5)]
+                some |= m[i + np.uint64(6)] | m[i + np.uint64(7)]
+                if some == 0:
                     r += np.uint64(8)
-                block_end = min(stop, r + np.uint64(8))
-                while r < block_end and n < n_end:
-                    value = m[r + shift]
-                    edge[n] = record[r]
-                    multiplicity[n] = value
-                    n += np.uint64(value != 0)
-                    r += np.uint64(1)
-        else:
-            while n < n_end and r < stop:
-                value = m[r + shift]
-                edge[n] = record[r]
-                multiplicity[n] = value
-                n += np.uint64(value != 0)
-                r += np.uint64(1)
+                    continue
+            value = m[r + shift]
+            edge[n] = record[r]
+            multiplicity[n] = value
+            n += np.uint64(value != 0)
+            r += np.uint64(1)
         for i in range(np.uint64(key_begin[k]), np.uint64(key_end[k])):
             edge[n] = np.uint32(keys[i] >> np.uint64(3))
             multiplicity[n] = np.int8(np.int64(keys[i] & np.uint64(7)) - 2)

@@ -14,7 +14,7 @@ numbers for each of 8 lanes (128 bytes), which the processor tests at once:
 Numbers are int16, in units of 1 / `UNIT` (the fourth of a dual point: 2 / `UNIT`).
 Block b of a level describes the blocks 8 b .. 8 b + 7 of the next one; the last
 level describes leaves. A block is read where the search happens to go, so the
-memory is asked for it a few blocks ahead (`_prefetch`).
+memory is asked for it some blocks ahead (`_prefetch`).
 
 Each bound is wide enough for its own rounding: it tells of a node, or of an edge,
 only what float64 would say too. What it leaves open, `_side` decides.
@@ -32,7 +32,8 @@ UNIT = 32000.0
 _PER_UNIT, _PER_TWO_UNITS = np.float32(1.0 / UNIT), np.float32(2.0 / UNIT)
 _LANES = 8
 _AHEAD = np.uint64(16)
-"""Blocks between asking for one and testing it."""
+"""Blocks, or records, between asking the memory for one and looking at it. Asking for all
+at once is no better than not asking: the processor keeps track of a few only."""
 _F32X8 = ir.VectorType(ir.FloatType(), _LANES)
 _I32, _I16, _I8 = ir.IntType(32), ir.IntType(16), ir.IntType(8)
 _I16X8 = ir.VectorType(_I16, _LANES)
@@ -283,14 +284,29 @@ def counted_facing(planes, units, x, y, z, w, floor, begin, end, s):
 
 
 @_helper
-def _descend(is_cones, blocks, first_block, n_leaves, lx, ly, lz, lw, slack, frontier, following):
+def _prefetch_block(blocks, number):
+    """Ask the memory for a block: two lines."""
+    _prefetch(blocks, number << np.uint64(6))
+    _prefetch(blocks, (number << np.uint64(6)) + np.uint64(32))
+
+
+@_helper
+def _prefetch_leaf(leaves, order, first_leaf, first_pair, number):
+    """Ask the memory for a leaf and the ids of its edges."""
+    _prefetch_block(leaves, first_leaf + number)
+    _prefetch(order, first_pair + (number << np.uint64(3)))
+
+
+@_helper
+def _descend(
+    is_cones, blocks, first_block, n_leaves, lx, ly, lz, lw, slack, frontier, following, sizes,
+):  # fmt: skip
     """Return the leaves that the light may divide: their number, and nodes tested.
 
     `frontier` and `following` are scratch of more than ``n_leaves`` numbers; the
-    leaves end up in the first of them, and their order is that of the tree.
+    leaves end up in the first of them, in the order of the tree. `sizes` is scratch.
     """
     bx, by, bz, bw = lx * _PER_UNIT, ly * _PER_UNIT, lz * _PER_UNIT, lw * _PER_TWO_UNITS
-    sizes = np.empty(16, np.uint64)
     sizes[0] = n_leaves
     n_levels = np.uint64(0)
     while n_levels == 0 or sizes[n_levels] > np.uint64(1):
@@ -303,10 +319,11 @@ def _descend(is_cones, blocks, first_block, n_leaves, lx, ly, lz, lw, slack, fro
     for up in range(n_levels):
         n_below = sizes[n_levels - np.uint64(1) - up]
         n_next = np.uint64(0)
+        for q in range(min(_AHEAD, n_open)):
+            _prefetch_block(blocks, base + np.uint64(frontier[q]))
         for q in range(n_open):
-            ahead = np.uint64(frontier[min(q + _AHEAD, n_open - np.uint64(1))])
-            _prefetch(blocks, (base + ahead) << np.uint64(6))
-            _prefetch(blocks, ((base + ahead) << np.uint64(6)) + np.uint64(32))
+            if q + _AHEAD < n_open:
+                _prefetch_block(blocks, base + np.uint64(frontier[q + _AHEAD]))
             number = np.uint64(frontier[q])
             offset = (base + number) << np.uint64(6)
             if is_cones:
@@ -318,9 +335,10 @@ def _descend(is_cones, blocks, first_block, n_leaves, lx, ly, lz, lw, slack, fro
             n_tested += n_lanes
             mask &= np.uint32((np.uint32(1) << np.uint32(n_lanes)) - np.uint32(1))
             while mask != np.uint32(0):
-                following[n_next] = np.uint32(first) + _lowest_bit(mask)
-                n_next += np.uint64(1)
+                child = np.uint32(first) + _lowest_bit(mask)
                 mask &= mask - np.uint32(1)
+                following[n_next] = child
+                n_next += np.uint64(1)
         base += sizes[n_levels - up]
         n_open = n_next
         for q in range(n_open):
@@ -395,12 +413,12 @@ def _test_leaves(
     """
     bx, by, bz, bw = lx * _PER_UNIT, ly * _PER_UNIT, lz * _PER_UNIT, lw * _PER_TWO_UNITS
     n_tested = np.uint64(0)
+    for q in range(min(_AHEAD, n_open)):
+        _prefetch_leaf(leaves, order, first_leaf, first_pair, np.uint64(frontier[q]))
     for q in range(n_open):
-        ahead = np.uint64(frontier[min(q + _AHEAD, n_open - np.uint64(1))])
-        _prefetch(order, np.uint64(first_pair) + (ahead << np.uint64(3)))
-        ahead = (ahead + np.uint64(first_leaf)) << np.uint64(6)
-        _prefetch(leaves, ahead)
-        _prefetch(leaves, ahead + np.uint64(32))
+        if q + _AHEAD < n_open:
+            ahead = np.uint64(frontier[q + _AHEAD])
+            _prefetch_leaf(leaves, order, first_leaf, first_pair, ahead)
         first = np.uint64(frontier[q]) << np.uint64(3)
         offset = (np.uint64(first_leaf) + np.uint64(frontier[q])) << np.uint64(6)
         sides = _edge_sides(leaves, offset, bx, by, bz, bw, slack)
@@ -520,14 +538,14 @@ def search_trees(
         slack = np.float32(_SLACK * reach + 2e-15 * far * scale) + _LEAST
         # Half a unit of each number of a leaf: it is rounded to the nearest.
         leaf_slack = slack + np.float32(0.51 / UNIT) * reach
-        first_pair = np.uint64(starts[t, 0])
+        first_pair, first_leaf = np.uint64(starts[t, 0]), np.uint64(starts[t, 2])
         n_open, n_nodes = _descend(
-            is_cones, blocks, starts[t, 1], np.uint64(starts[t + 1, 2] - starts[t, 2]),
-            lx, ly, lz, lw, slack, frontier, following,
+            is_cones, blocks, starts[t, 1], np.uint64(starts[t + 1, 2]) - first_leaf,
+            lx, ly, lz, lw, slack, frontier, following, count,
         )  # fmt: skip
         begin = n_keys
         n_keys, n_edges = _test_leaves(
-            leaves, order, refs, starts[t, 2], first_pair, starts[t + 1, 0] - starts[t, 0],
+            leaves, order, refs, first_leaf, first_pair, starts[t + 1, 0] - starts[t, 0],
             planes, floor, floor_of_tree[t], light, lx, ly, lz, lw, leaf_slack,
             frontier, n_open, keys, n_keys,
         )  # fmt: skip

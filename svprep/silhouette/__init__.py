@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from svprep.errors import InputError
 from svprep.facing import checked_light
 from svprep.model import F32, F64, I8, I64, Prepared
-from svprep.silhouette.cost import scan_costs, tree_costs
+from svprep.silhouette.cost import is_tree_cheaper, tree_costs
 from svprep.silhouette.result import Silhouette, Work
 from svprep.silhouette.scan import Plan, Run, Scratch, make_plan
 from svprep.silhouette.tables import SearchTables, read_only
@@ -137,7 +137,7 @@ class _Search:
         every, cheaper = none.copy(), none.copy()
         numbers = np.arange(len(index.objects))
         every[index.objects] = numbers
-        is_cheaper = self.costs < scan_costs(self.tables, index)
+        is_cheaper = is_tree_cheaper(self.tables, index, self.costs)
         cheaper[index.objects[is_cheaper]] = numbers[is_cheaper]
         return {"flat": none, "cones": every, "hextree": every, "auto": cheaper}
 

@@ -22,8 +22,8 @@ from svprep.model import (
 from svprep.parallel import for_ranges, run_together
 from svprep.silhouette.trees import LEAF, tree_starts
 
-FEWEST_PAIRS = 128
-"""Below this many searched edges a flat scan is always as fast: no tree is built."""
+FEWEST_PAIRS = 512
+"""Below this many searched edges a flat scan is always faster: no tree is built."""
 
 
 def build_index(
