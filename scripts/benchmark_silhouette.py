@@ -4,11 +4,11 @@
     python3 scripts/benchmark_silhouette.py --datasets smooth:50000 city.obj --methods auto flat
     python3 scripts/benchmark_silhouette.py --quick
 
-Each query has a light of its own, the same for all methods, which take turns light by
-light, so that a slow spell of a shared machine hits all alike. Tables of the baselines
-are made once beforehand, as the product's are by the build. Every answer is compared
-with the others; a difference ends the run. Caches are built once into --work; empty
-it after a change to the build.
+Each query has a light of its own, the same ones for all methods, which are timed each on
+its own and in turns, so that a slow spell of a shared machine hits all alike. Tables of
+the baselines are made once beforehand, as the product's are by the build. Every answer is
+compared with the others; a difference ends the run. Caches are built once into --work;
+empty it after a change to the build.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from silhouette_benchmark.measure import (  # noqa: E402
     Disagreement,
     Subject,
     measure,
+    measure_alone,
     measure_coherent,
     measure_subsets,
     ratio,
@@ -119,8 +120,9 @@ def benchmark(
         subjects: dict[str, Subject] = {method: _query(cache, method) for method in methods}
         subjects |= {NUMPY: NumpyScan(tables), **compiled}
         timings = measure(subjects, len(tables.edge), lights, warm)
+        alone = measure_alone(subjects, lights)
         flats = [name for name in (FLAT, *compiled) if name in timings]
-        baseline = min(flats, key=lambda name: timings[name].median_ms)
+        baseline = min(flats, key=lambda name: alone[name].median_ms)
         cached = measure_bandwidth(tables.bytes_read, thread_count())
         return DatasetReport(
             name=dataset.name,
@@ -128,6 +130,7 @@ def benchmark(
             counts=count(cache),
             lights=[light.tolist() for light in lights],
             timings=timings,
+            alone=alone,
             baseline=baseline,
             ratios={
                 name: ratio(timing, timings[baseline], lights)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from svprep.cache.reader import Cache
+    from svprep.model import Prepared
     from svprep.pipeline import BuildResult
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
@@ -351,33 +352,16 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def _build_summary(result: BuildResult) -> dict[str, Any]:
-    from svprep.report import component_counts, edge_counts, left_out_faces, total_counts
-
-    prepared = result.prepared
-    n_in = int(prepared.repair.source_triangles.sum())
     return {
         "cache": str(result.cache.path),
         "n_bytes": result.cache.n_bytes,
         "content_digest": result.cache.content_digest,
-        "objects": len(prepared.object_names),
-        "triangles_in": n_in,
-        "faces": len(prepared.mesh.faces),
-        "vertices": len(prepared.mesh.positions),
-        "planes": len(prepared.planes.planes),
-        "edges": edge_counts(prepared.edges),
-        **component_counts(prepared.components.flags),
-        "grid_step_m": prepared.mesh.grid.step_m,
-        "left_out": len(left_out_faces(prepared)),
-        "turned": len(prepared.repair.flipped_faces),
-        "defects": total_counts(prepared),
-        "notes": list(prepared.notes),
+        **_content_summary(result.prepared),
         "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
     }
 
 
 def _cache_summary(cache: Cache) -> dict[str, Any]:
-    from svprep.report import component_counts, edge_counts, left_out_faces, total_counts
-
     prepared = cache.prepared()
     return {
         "cache": str(cache.path),
@@ -390,21 +374,31 @@ def _cache_summary(cache: Cache) -> dict[str, Any]:
         ],
         "config": prepared.config,
         "crs": cache.crs,
-        "grid_step_m": prepared.mesh.grid.step_m,
         "grid_origin_m": prepared.mesh.grid.origin_m.tolist(),
         "planar_tolerance_m": prepared.planes.tolerance_m,
+        **_content_summary(prepared),
+        "datasets": cache.dataset_sizes(),
+    }
+
+
+def _content_summary(prepared: Prepared) -> dict[str, Any]:
+    """Return what `build` and `info` both say of a city."""
+    from svprep import report
+
+    return {
         "objects": len(prepared.object_names),
         "triangles_in": int(prepared.repair.source_triangles.sum()),
         "faces": len(prepared.mesh.faces),
         "vertices": len(prepared.mesh.positions),
         "planes": len(prepared.planes.planes),
-        "edges": edge_counts(prepared.edges),
-        **component_counts(prepared.components.flags),
-        "left_out": len(left_out_faces(prepared)),
+        "edges": report.edge_counts(prepared.edges),
+        **report.component_counts(prepared.components.flags),
+        "index": report.index_counts(prepared.index),
+        "grid_step_m": prepared.mesh.grid.step_m,
+        "left_out": len(report.left_out_faces(prepared)),
         "turned": len(prepared.repair.flipped_faces),
-        "defects": total_counts(prepared),
+        "defects": report.total_counts(prepared),
         "notes": list(prepared.notes),
-        "datasets": cache.dataset_sizes(),
     }
 
 
@@ -423,6 +417,11 @@ def _print_counts(summary: dict[str, Any]) -> None:
     print(
         f"parts    {summary['components']:,} components, {summary['closed']:,} closed, "
         f"{summary['solid']:,} solid"
+    )
+    index = summary["index"]
+    print(
+        f"index    {index['objects']:,} objects have silhouette trees, over {index['edges']:,} "
+        f"edges ({index['n_bytes'] / 1e6:.1f} MB)"
     )
     print(f"grid     {summary['grid_step_m']:g} m")
     print(

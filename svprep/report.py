@@ -28,6 +28,7 @@ from svprep.model import (
     EdgeKind,
     EdgeTable,
     Prepared,
+    SilhouetteIndex,
 )
 from svprep.repair.winding import opposite_faces
 
@@ -115,6 +116,18 @@ def edge_counts(edges: EdgeTable) -> dict[str, int]:
     counts = np.bincount(kind, minlength=len(EdgeKind))
     named = {k.name.lower(): int(counts[k]) for k in EdgeKind}
     return {**named, "planar": int(np.count_nonzero(edges.flags & np.uint8(EdgeFlag.PLANAR)))}
+
+
+def index_counts(index: SilhouetteIndex) -> dict[str, int]:
+    """Return how many objects have silhouette trees, over how many edges, in how many bytes."""
+    n_bytes = index.objects.nbytes + index.frames.nbytes + 4 * len(index.pair_start)
+    for tree in (index.cones, index.hextree):
+        n_bytes += tree.edge.nbytes + tree.blocks.nbytes + tree.expected_work.nbytes
+    return {
+        "objects": len(index.objects),
+        "edges": int(index.pair_start[-1]),
+        "n_bytes": n_bytes,
+    }
 
 
 def component_counts(flags: U8) -> dict[str, int]:

@@ -52,8 +52,10 @@ class Counts:
     """Records of one face."""
     planar: int
     """Records that no light can make a silhouette."""
+    pairs: int
+    """Pairs that are not planar: those that an index may search."""
     indexed: int
-    """Pairs that are not planar: those that an index searches."""
+    """Of them, those of objects that have trees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,8 @@ def count(cache: Cache) -> Counts:
         records=cache.n_edges,
         single=int((cache.edges.rows[:, 2:] >= cache.n_faces).any(axis=1).sum()),
         planar=int(is_planar.sum()),
-        indexed=int((is_pair & ~is_planar).sum()),
+        pairs=int((is_pair & ~is_planar).sum()),
+        indexed=int(cache.index.pair_start[-1]),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -84,34 +85,50 @@ class SubsetRow:
 def measure(
     subjects: Mapping[str, Subject], records: int, lights: Sequence[F32], warm: Sequence[F32]
 ) -> dict[str, Timing]:
-    """Time every subject for every light, light by light, and compare their answers.
+    """Time every subject for every light, in turns, and compare their answers.
 
-    The subject that begins changes from light to light. `warm` are asked first and
-    not timed: they load tables and kernels. `records` is what a subject that does
-    not count its work, a flat scan, visits.
+    Who follows whom changes from turn to turn, and in a turn each has another light:
+    nobody finds in the processor's cache what a neighbour read for the same light.
+    `warm` are asked first and not timed: they load tables and kernels. `records` is
+    what a subject that does not count its work, a flat scan, visits.
 
     Raises
     ------
     Disagreement
         Two answers differ in any row.
     """
-    timings = {name: Timing() for name in subjects}
+    n = len(lights)
+    timings = {name: Timing([0.0] * n, [0] * n, [0] * n) for name in subjects}
     for light in warm:
         for subject in subjects.values():
             subject(light)
     names = list(subjects)
+    shuffle = np.random.default_rng(0).permutation
+    answers: dict[int, tuple[str, tuple[bytes, ...]]] = {}
     with _no_collection():
-        for number, light in enumerate(lights):
-            turn = number % len(names)
-            first: tuple[str, Answer] | None = None
-            for name in names[turn:] + names[:turn]:
-                answer = _timed(subjects[name], light, timings[name].ms)
+        for turn in range(n):
+            for place in shuffle(len(names)).tolist():
+                name, k = names[place], (turn + place * n // len(names)) % n
+                times: list[float] = []
+                answer = _timed(subjects[name], lights[k], times)
                 work = getattr(answer, "work", None)
-                timings[name].visited.append(records if work is None else work.n_edges)
-                timings[name].found.append(len(answer.edge))
-                first = first or (name, answer)
-                _compare(first, (name, answer), light)
+                timings[name].ms[k] = times[0]
+                timings[name].visited[k] = records if work is None else work.n_edges
+                timings[name].found[k] = len(answer.edge)
+                _compare(answers.setdefault(k, (name, _digests(answer))), (name, answer), lights[k])
                 del answer
+    return timings
+
+
+def measure_alone(subjects: Mapping[str, Subject], lights: Sequence[F32]) -> dict[str, Timing]:
+    """Time every subject on its own, a new light for each query: what a program sees."""
+    timings = {}
+    for name, subject in subjects.items():
+        subject(lights[-1])
+        timings[name] = Timing()
+        with _no_collection():
+            for light in lights:
+                timings[name].found.append(len(_timed(subject, light, timings[name].ms).edge))
     return timings
 
 
@@ -179,13 +196,21 @@ def _timed(subject: Subject, light: F32, ms: list[float]) -> Answer:
     return answer
 
 
-def _compare(first: tuple[str, Answer], other: tuple[str, Answer], light: F32) -> None:
-    """Raise unless two answers are the same, row by row."""
-    for table in ("edge", "multiplicity", "object_start"):
-        if not np.array_equal(getattr(first[1], table), getattr(other[1], table)):
+TABLES = ("edge", "multiplicity", "object_start")
+
+
+def _digests(answer: Answer) -> tuple[bytes, ...]:
+    return tuple(
+        hashlib.sha256(np.ascontiguousarray(getattr(answer, table))).digest() for table in TABLES
+    )
+
+
+def _compare(first: tuple[str, tuple[bytes, ...]], other: tuple[str, Answer], light: F32) -> None:
+    """Raise unless an answer is the same as the first one for this light, row by row."""
+    for table, a, b in zip(TABLES, first[1], _digests(other[1]), strict=True):
+        if a != b:
             raise Disagreement(
-                f"{first[0]} and {other[0]} differ in {table} for the light {light.tolist()}: "
-                f"{len(first[1].edge)} and {len(other[1].edge)} records"
+                f"{first[0]} and {other[0]} differ in {table} for the light {light.tolist()}"
             )
 
 

@@ -1,0 +1,129 @@
+"""The result of a query does not depend on how many threads share it, or where."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from svprep.model import Prepared
+from svprep.silhouette import METHODS, Silhouette, index, scan, silhouette
+from tests.dataset.datasets import DATA, build
+
+ROOT = Path(__file__).resolve().parents[2]
+LIGHTS = (
+    np.array([0.3, -0.4, 0.8, 0.0]),
+    np.array([0.0, 0.0, 1.0, 0.0]),
+    np.array([1.0, 2.0, 30.0, 1.0]),
+)
+
+
+@pytest.fixture(scope="module")
+def city() -> Prepared:
+    """Return the sample city with trees for objects of ten searched edges."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(index, "FEWEST_PAIRS", 10)
+    build.cache_clear()
+    built = build(DATA / "small_city.obj.gz")
+    build.cache_clear()
+    patch.undo()
+    assert not isinstance(built, str)
+    assert len(built.prepared.index.objects) > 200
+    return built.prepared
+
+
+def assert_same(a: Silhouette, b: Silhouette) -> None:
+    assert np.array_equal(a.edge, b.edge)
+    assert np.array_equal(a.multiplicity, b.multiplicity)
+    assert np.array_equal(a.object_start, b.object_start)
+
+
+@pytest.mark.parametrize("n_threads", [1, 2, 3, 7])
+@pytest.mark.parametrize("share", [1, 50, 3000])
+def test_any_cut_gives_the_same_rows(
+    city: Prepared, n_threads: int, share: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SVPREP_THREADS", str(n_threads))
+    monkeypatch.setattr(scan, "_SHARE", share)
+    rng = np.random.default_rng(n_threads)
+    n_objects = len(city.object_names)
+    for light in LIGHTS:
+        for method in ("flat", "cones", "hextree", "auto"):
+            # Every object, as a list: plans of whole caches are kept from before.
+            everything = silhouette(city, light, method, objects=np.arange(n_objects))
+            assert_same(everything, silhouette(city, light, "brute"))
+            some = rng.choice(n_objects, 40, replace=False)
+            assert_same(
+                silhouette(city, light, method, objects=some),
+                silhouette(city, light, "brute", objects=some),
+            )
+
+
+def test_a_large_object_is_cut(city: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SVPREP_THREADS", "3")
+    monkeypatch.setattr(scan, "_SHARE", 50)
+    largest = np.argmax(np.diff(city.components.edge_start[city.components.object_start]))
+    asked = np.array([0, int(largest)])
+    for light in LIGHTS:
+        whole = silhouette(city, light, "brute", objects=asked)
+        assert_same(silhouette(city, light, "flat", objects=asked), whole)
+
+
+def test_queries_at_the_same_time_do_not_disturb_each_other(city: Prepared) -> None:
+    rng = np.random.default_rng(4)
+    jobs = [
+        (np.append(rng.normal(size=3), i % 2), METHODS[i % len(METHODS)], i % 3) for i in range(120)
+    ]
+    expected = [silhouette(city, light, "brute", objects=range(k, 300)) for light, _, k in jobs]
+    with ThreadPoolExecutor(6) as pool:
+        found = pool.map(lambda j: silhouette(city, j[0], j[1], objects=range(j[2], 300)), jobs)
+        for a, b in zip(found, expected, strict=True):
+            assert_same(a, b)
+
+
+def test_rows_are_kept_when_the_next_query_comes(city: Prepared) -> None:
+    first = silhouette(city, LIGHTS[0])
+    edge, m = first.edge.copy(), first.multiplicity.copy()
+    silhouette(city, LIGHTS[2])
+    assert np.array_equal(first.edge, edge)
+    assert np.array_equal(first.multiplicity, m)
+
+
+ON_ANOTHER_PROCESSOR = """
+import sys, hashlib, numpy as np
+from svprep.cache.reader import open_cache
+from svprep.silhouette import silhouette
+with open_cache(sys.argv[1]) as cache:
+    for method in ("flat", "cones", "hextree"):
+        for light in ([0.3, -0.4, 0.8, 0], [1, 2, 30, 1]):
+            found = silhouette(cache, light, method)
+            print(hashlib.sha256(found.edge.tobytes() + found.multiplicity.tobytes()).hexdigest())
+"""
+
+
+def test_code_for_any_processor_gives_the_same_rows(city: Prepared, tmp_path: Path) -> None:
+    # On this one, instructions of its own may be used (AVX-512): here they are not.
+    from svprep.cache.writer import write_cache
+
+    path = tmp_path / "city.svp.h5"
+    write_cache(city, path)
+    outputs = []
+    for name in ("", "generic"):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        if name:
+            environment |= {"NUMBA_CPU_NAME": name, "NUMBA_CACHE_DIR": str(tmp_path / name)}
+        done = subprocess.run(
+            [sys.executable, "-c", ON_ANOTHER_PROCESSOR, str(path)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        outputs.append(done.stdout.split())
+    assert len(set(outputs[0])) == 2  # one for each light
+    assert outputs[0] == outputs[1]
