@@ -247,7 +247,8 @@ class SilhouetteIndex:
 
     All in the object's frame: about its centre, in units of its radius. A plane
     record is the dual point ``(n / |n|, (d + n . c) / (r |n|))``, a light
-    ``((L - w c) / r, w)``. A sine of 2: the cone holds a half-space.
+    ``((L - w c) / r, w)``. Numbers are int16 in units of 1 / 32000, the fourth of each
+    dual point in 2 / 32000. A sine of 1 (32000) bounds nothing.
     """
 
     objects: U32

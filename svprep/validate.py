@@ -4,6 +4,8 @@ Deep checks, each against something that does not share its code:
 
     multiplicities   the plain float64 twin, straight from the cached triangles
     closed volumes   the signed boundary of sides and caps is zero at each vertex
+    silhouettes      what the searches find is where those multiplicities are not zero
+    cones            every sphere and cone of the trees holds the edges below it
     solids           manifold3d takes each for a manifold with positive volume
     repair           repairing the cached mesh again changes nothing
 """
@@ -18,13 +20,14 @@ import numpy as np
 
 from svprep.cache.checks import CHECKS, Check, Problem
 from svprep.cache.reader import Cache, open_cache
+from svprep.cache.tables import Tables
+from svprep.cache.tree_bounds import CONE_NEEDS, cone_problems
 from svprep.cache.verify import verify
 from svprep.defects import DEFECTS
 from svprep.edges import build_edges
 from svprep.errors import InputError, first_few, require_extra
 from svprep.facing import facing
 from svprep.model import (
-    BOOL,
     F32,
     F64,
     I64,
@@ -37,9 +40,14 @@ from svprep.model import (
 from svprep.planes import build_planes
 from svprep.reference import EdgeSums
 from svprep.repair.stage import repair
+from svprep.silhouette import Method, silhouette
+from svprep.silhouette.volumes import closed_volume_allowed, component_bounds
 
 N_LIGHTS = 100
 """Lights of a deep check: half directional, half points, some inside solids."""
+
+SEARCHES: tuple[Method, ...] = ("auto", "cones", "hextree")
+"""The methods of `silhouette` that a deep check compares with the records."""
 
 _BUG = (
     "Shadows may be wrong. Build the cache again with a released svprep; report it if that fails."
@@ -71,6 +79,13 @@ DEEP_CHECKS: dict[str, Check] = {
             "UNSTABLE_REPAIR",
             "Repairing the cached mesh again gives another result.",
             "The cache was built by another version, or the repair has a fault. " + _BUG,
+        ),
+        Check(
+            "V605",
+            "WRONG_SILHOUETTE",
+            "A search for silhouettes finds other edges than those whose multiplicity is not 0, or "
+            "another multiplicity.",
+            _BUG,
         ),
     )
 }
@@ -114,7 +129,7 @@ def validate(path: str | Path, *, deep: bool = False, on_step: Step | None = Non
     checks = ["structure, digests, ranges and table invariants"] if not problems else []
     if deep and not problems:
         with open_cache(path) as cache:
-            for check in (_check_volumes, _check_solids, _check_repair_again):
+            for check in (_check_volumes, _check_searches, _check_solids, _check_repair_again):
                 line, found = check(cache, step)
                 checks += [line] if not found else []
                 problems += found
@@ -180,29 +195,6 @@ def random_lights(
     return lights
 
 
-def component_bounds(mesh: Mesh, components: Components) -> tuple[F32, F32]:
-    """Return each component's lowest and highest corner, ``(n_components, 3)`` [m]."""
-    corners = mesh.positions[mesh.faces]
-    start = components.face_start[:-1]
-    return (
-        np.minimum.reduceat(corners.min(axis=1), start),
-        np.maximum.reduceat(corners.max(axis=1), start),
-    )
-
-
-def closed_volume_allowed(components: Components, bounds: tuple[F32, F32], light: F32) -> BOOL:
-    """Return ``(n_components,)``: solid, and the light outside its bounds.
-
-    ``bounds`` as `component_bounds` returns them. A light inside a box finds no
-    face turned its way; a directional light is always outside.
-    """
-    is_solid = (components.flags & np.uint8(ComponentFlag.SOLID)) != 0
-    if light[3] == 0.0:
-        return is_solid
-    low, high = bounds
-    return is_solid & ((light[:3] < low) | (light[:3] > high)).any(axis=1)
-
-
 def row_multiplicity(edges: EdgeTable, facing_of_face: I64) -> I64:
     """Return ``(n_edges,)``: ``m = s_left - s_right`` of each record."""
     padded = np.append(facing_of_face, 0)  # NO_INDEX faces nothing
@@ -251,6 +243,38 @@ def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     line = (
         f"{N_LIGHTS} lights: multiplicities equal the triangles' own on "
         f"{sums.n_edges:,} edges; robust and closed volumes are closed"
+    )
+    return line, problems
+
+
+def _check_searches(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
+    """The bounds of the trees of cones; what searches find against all multiplicities."""
+    mesh, edges, components, planes = cache.mesh, cache.edges, cache.components, cache.planes
+    arrays = {path: cache.raw(path) for path in CONE_NEEDS}
+    problems = cone_problems(Tables(arrays, {}, cache.grid.step_m, planes.tolerance_m))
+    bounds = component_bounds(mesh, components)
+    component_of_face = np.repeat(np.arange(len(components.flags)), np.diff(components.face_start))
+    for i, light in enumerate(random_lights(mesh, components)):
+        step("silhouettes", i, N_LIGHTS)
+        side = facing(planes.planes, light).astype(np.int64)[planes.plane_of_face]
+        allowed = closed_volume_allowed(components, bounds, light)[component_of_face]
+        m = row_multiplicity(edges, np.where(allowed, side > 0, side))
+        for method in SEARCHES:
+            found = silhouette(cache, light, method)
+            # Sums: a record that is found twice counts twice.
+            by_search = np.bincount(found.edge, found.multiplicity, len(m))
+            if len(differing := np.flatnonzero(by_search != m)):
+                problems.append(
+                    Problem(
+                        "V605",
+                        "cones" if method == "cones" else "hextree",
+                        f"light {light.tolist()}: method {method} differs from the multiplicities "
+                        f"at edge records {first_few(differing)}",
+                    )
+                )
+    line = (
+        f"{N_LIGHTS} lights: {', '.join(SEARCHES)} find the silhouette, no edge more or less; "
+        f"bounds hold in {len(cache.index.objects):,} trees"
     )
     return line, problems
 

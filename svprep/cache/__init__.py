@@ -5,7 +5,8 @@
     files    lock, temporary sibling, atomic replacement
     writer   `write_cache`
     reader   `open_cache`
-    verify   `verify`: the quick structural check (tables in `invariants`)
+    verify   `verify`: the quick structural check (tables in `invariants`, silhouette
+             trees in `tree_invariants` and `tree_bounds`)
 
 FORMAT.md describes the file for readers in other languages.
 """

@@ -180,8 +180,29 @@ CHECKS: dict[str, Check] = {
             "V409",
             "BAD_GROUPING",
             "The offsets of objects and components do not fit each other: a component reaches "
-            "over the end of its object.",
+            "over the end of its object, or has no faces.",
             _BUG,
+        ),
+        Check(
+            "V410",
+            "PLANE_ORDER",
+            "Plane records are not numbered by their lowest face, or a component uses one of "
+            "another's.",
+            _BUG,
+        ),
+        Check(
+            "V411",
+            "BAD_TREE",
+            "A silhouette tree does not hold exactly the searched edge records of its object, each "
+            "once; or its frame, number of blocks or expected work cannot be right.",
+            _BUG,
+        ),
+        Check(
+            "V412",
+            "WRONG_BOUND",
+            "A bound in a silhouette tree does not hold an edge below it. The boxes of dual points "
+            "are always checked, the spheres with normal cones by --deep.",
+            "For some lights a silhouette edge is passed over, and shadows leak there. " + _BUG,
         ),
         Check(
             "V501",

@@ -2,14 +2,14 @@
 
 Each check names the datasets that it `needs`; it runs only where those are
 whole, so that one damaged dataset is reported once and not by all its effects.
-Every check is vectorised: O(n), or O(n log n) where edges are sorted.
+Every check is vectorised: O(n), or O(n log n) where edges are sorted. Those of the
+silhouette trees are in `tree_invariants`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,26 +18,12 @@ from numpy.typing import NDArray
 from svprep.cache.checks import Problem, problem_at
 from svprep.cache.codec import BLOCK, face_normals, next_half_edge, rows_of_half_edges
 from svprep.cache.schema import DATASETS, DatasetSpec
+from svprep.cache.tables import CheckFunction, Tables, owner_of_rows
+from svprep.cache.tree_invariants import TREE_CHECKS
 from svprep.defects import DEFECTS
 from svprep.model import BOOL, MOST_TILT_RAD, NO_INDEX, U32, ComponentFlag, EdgeFlag, EdgeKind
 
 MAX_STEPS = 2**24
-
-
-@dataclass(frozen=True, slots=True)
-class Tables:
-    """The whole datasets of a file, as stored, and what its attributes say."""
-
-    arrays: Mapping[str, NDArray[Any]]
-    sizes: Mapping[str, int]
-    step_m: float
-    tolerance_m: float
-
-    def __getitem__(self, path: str) -> NDArray[Any]:
-        return self.arrays[path]
-
-
-CheckFunction = Callable[[Tables], list[Problem]]
 
 
 def check_values(spec: DatasetSpec, array: NDArray[Any], sizes: Mapping[str, int]) -> list[Problem]:
@@ -88,16 +74,19 @@ def check_flags(t: Tables) -> list[Problem]:
 
 
 def check_grouping(t: Tables) -> list[Problem]:
-    """Components lie inside their object: each object's first component starts its faces."""
-    first = t["objects/component_start"]
-    mismatch = t["components/face_start"][first] != t["objects/face_start"]
-    return problem_at("V409", "objects", "components reach over the start of", mismatch)
+    """Components have faces, and each object's first component starts its faces."""
+    first, start = t["objects/component_start"], t["components/face_start"]
+    mismatch = start[first] != t["objects/face_start"]
+    return [
+        *problem_at("V409", "objects", "components reach over the start of", mismatch),
+        *problem_at("V409", "components", "no faces in", start[1:] <= start[:-1]),
+    ]
 
 
 def check_faces(t: Tables) -> list[Problem]:
     """Faces use three different vertices of their own object and have an area."""
     faces = t["mesh/face_corners"].reshape(-1, 3)
-    owner = _owner(t["objects/face_start"])
+    owner = owner_of_rows(t["objects/face_start"])
     vertex_start = t["objects/vertex_start"]
     foreign = np.empty(len(faces), np.bool_)
     flat = np.empty(len(faces), np.bool_)
@@ -152,6 +141,28 @@ def check_planes(t: Tables) -> list[Problem]:
     ]
 
 
+def check_plane_order(t: Tables) -> list[Problem]:
+    """Records are numbered by their lowest face, and lie within one component."""
+    plane = t["planes/plane_of_face"].astype(np.int64)
+    highest = np.maximum.accumulate(plane)
+    is_new = np.ones(len(plane), np.bool_)
+    is_new[1:] = highest[1:] > highest[:-1]
+    # The first record is 0, and each new one follows the highest before it.
+    skips = is_new & (plane != np.cumsum(is_new) - 1)
+    first = t["components/face_start"][:-1]
+    first = first[first < t["components/face_start"][1:]]
+    lowest = np.repeat(plane[first], np.diff(first, append=len(plane)))
+    shared = plane < lowest
+    shared[first] |= ~is_new[first]
+    where = "planes/plane_of_face"
+    unused = np.arange(len(t["planes/d"])) > (highest[-1] if len(highest) else -1)
+    return [
+        *problem_at("V410", where, "records not numbered by their lowest face at faces", skips),
+        *problem_at("V410", where, "records of another component at faces", shared),
+        *problem_at("V410", "planes/d", "records of no face", unused),
+    ]
+
+
 def check_half_edges(t: Tables) -> list[Problem]:
     """Every side of every face is in exactly one edge record."""
     half = t["edges/half_edges"]
@@ -181,8 +192,8 @@ def check_edge_tables(t: Tables) -> list[Problem]:
     """Order, grouping, kind and the planar flag of edge records; closed components."""
     half, flags = t["edges/half_edges"], t["edges/flags"]
     rows = rows_of_half_edges(t["mesh/face_corners"], _with_some_half(half))
-    component = _owner(t["components/edge_start"])
-    component_of_face = _owner(t["components/face_start"])
+    component = owner_of_rows(t["components/edge_start"])
+    component_of_face = owner_of_rows(t["components/face_start"])
     has_face = rows[:, 2:] != NO_INDEX
     face = np.where(has_face, rows[:, 2:], 0)
     is_pair = has_face.all(1)
@@ -293,6 +304,7 @@ TABLE_CHECKS: tuple[tuple[CheckFunction, tuple[str, ...]], ...] = (
             "planes/plane_of_face",
         ),
     ),
+    (check_plane_order, ("components/face_start", "planes/d", "planes/plane_of_face")),
     (check_half_edges, ("edges/half_edges", "mesh/face_corners")),
     (check_edge_ends, ("edges/half_edges", "mesh/face_corners")),
     (
@@ -314,6 +326,7 @@ TABLE_CHECKS: tuple[tuple[CheckFunction, tuple[str, ...]], ...] = (
     ),
     (check_flipped, ("repair/flipped_faces",)),
     (check_source_triangles, ("repair/source_triangles", "objects/face_start")),
+    *TREE_CHECKS,
 )
 """Every check between tables, with the datasets that must be whole for it."""
 
@@ -337,11 +350,6 @@ def check_tables(tables: Tables) -> list[Problem]:
             if all(path in whole for path in needs):
                 problems += check(kept)
     return problems
-
-
-def _owner(start: U32) -> NDArray[np.int64]:
-    """Return the group of each row, from the groups' offsets."""
-    return np.repeat(np.arange(len(start) - 1), start[1:] - start[:-1])
 
 
 def _with_some_half(half: U32) -> U32:

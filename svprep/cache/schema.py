@@ -227,8 +227,9 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         "<u4",
         (F,),
         "",
-        "Plane record of each face; records are numbered by their lowest face. No vertex of the face lies farther from the record's plane "
-        "than `planar_tolerance_m`, and the face is tilted against it by at most 0.0002 rad.",
+        "Plane record of each face. Records are numbered by their lowest face, and none is shared "
+        "between components. No vertex of the face lies farther from the record's plane than "
+        "`planar_tolerance_m`, and the face is tilted against it by at most 0.0002 rad.",
         "index",
         P,
     ),
@@ -266,15 +267,16 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         "<f4",
         (T, 4),
         "m",
-        "Centre (x, y, z) and radius of each one's frame.",
+        "Frame of each of these objects: a centre (x, y, z) and a radius that holds all its "
+        "vertices and is at least twice `planar_tolerance_m`.",
     ),
     DatasetSpec(
         "index/pair_start",
         "<u4",
         (T._replace(plus=1),),
         "",
-        "Tree i holds the edges start[i] to start[i + 1] - 1 of `cones/edge` and of "
-        "`hextree/edge`.",
+        "Trees i hold the entries start[i] to start[i + 1] - 1 of `cones/edge` and of "
+        "`hextree/edge`, at least one.",
         "offsets",
         I,
     ),
@@ -300,8 +302,8 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
                 "<u4",
                 (I,),
                 "",
-                f"Edge records in the order of the tree of {bounds}: all pairs of the object "
-                "that are not planar. Leaf j of a tree has its edges 8 j to 8 j + 7.",
+                f"Edge records in the order of the trees of {bounds}: each record of the object "
+                "whose flags are 0, once. Leaf j of a tree has its edges 8 j to 8 j + 7.",
                 "index",
                 E,
             ),
@@ -310,7 +312,7 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
                 "<i2",
                 (B, 8, 8),
                 "1/32000",
-                f"The tree's bounds, [block, number, lane]: {fields}. Section Silhouette trees.",
+                f"Bounds, [block, number, lane]: {fields}. See Silhouette trees, below.",
             ),
             DatasetSpec(
                 f"{group}/work",

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from svprep.cache.checks import CHECKS, Check, Problem
 from svprep.cache.codec import decode_sources
-from svprep.cache.invariants import Tables, check_tables
+from svprep.cache.invariants import check_tables
 from svprep.cache.schema import (
     ATTRIBUTE_OF_NAME,
     ATTRIBUTES,
@@ -41,6 +41,7 @@ from svprep.cache.storage import (
     read_raw,
     stored_dataset,
 )
+from svprep.cache.tables import Tables
 
 __all__ = ["CHECKS", "Check", "Problem", "verify"]
 

@@ -8,12 +8,8 @@ import pytest
 from svprep import reference
 from svprep.facing import facing
 from svprep.model import MOST_TILT_RAD, NO_INDEX, ComponentFlag
-from svprep.validate import (
-    closed_volume_allowed,
-    component_bounds,
-    random_lights,
-    row_multiplicity,
-)
+from svprep.silhouette.volumes import closed_volume_allowed, component_bounds
+from svprep.validate import random_lights, row_multiplicity
 from tests.dataset.datasets import SHARED, Built, build, buildable_files, label, thin
 
 FILES = buildable_files()

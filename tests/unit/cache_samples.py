@@ -1,12 +1,15 @@
-"""A small valid `Prepared`, made by hand: what the cache tests write and damage.
+"""Small valid `Prepared`, made by hand: what the cache tests write and damage.
 
 Object "roof" is an open strip of two triangles in the plane z = 4 (one record,
-one planar pair, four borders); object "tetra" is a closed tetrahedron.
+one planar pair, four borders); object "tetra" is a closed tetrahedron, and has
+silhouette trees of one leaf. Trees of several levels: `two_spheres`.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
+from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 
@@ -23,6 +26,8 @@ from svprep.model import (
     PlaneTable,
     Prepared,
     RepairRecord,
+    SilhouetteIndex,
+    SilhouetteTree,
     SourceFile,
 )
 
@@ -105,6 +110,7 @@ def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
         ),
         planes=PlaneTable(planes, plane_of_face, tolerance_m=STEP_M / 2),
         edges=EdgeTable(rows, np.array(flags, np.uint8)),
+        index=_trees_of_the_tetrahedron(positions[4:], planes[1:]),
         repair=RepairRecord(
             defect_counts=counts,
             source_triangles=np.array([3, 4], np.uint32),
@@ -118,6 +124,67 @@ def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
         config={"weld_tolerance_m": 0.0, "lod": None, "objects": ["building"]},
         notes=("sample.obj: 3 lines are not surfaces and were left out",),
     )
+
+
+def _trees_of_the_tetrahedron(points: np.ndarray, planes: np.ndarray) -> SilhouetteIndex:
+    """Return two trees of one leaf: all six edges in one bound each, lane 0 of one block."""
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    radius = 1.0  # the corners are 0.87 m from the centre
+    length = np.sqrt((planes[:, :3] ** 2).sum(axis=1))
+    dual = np.column_stack(
+        [
+            planes[:, :3] / length[:, None],
+            (planes[:, 3] + planes[:, :3] @ centre) / (radius * length),
+        ]
+    )
+    low, high = dual.min(axis=0), dual.max(axis=0)
+    box, cone = np.zeros((2, 1, 8, 8), np.int16)
+    unit = np.array([1.0, 1.0, 1.0, 2.0]) / 32000.0
+    box[0, :4, 0] = np.rint((low + high) / 2.0 / unit)
+    box[0, 4:, 0] = np.ceil((high - low) / 2.0 / unit) + 1
+    cone[0, 3, 0] = 30_000  # middles of edges are at most 0.5 from the centre
+    cone[0, 7, 0] = 32_000  # the normals look every way
+    edge = np.arange(5, 11, dtype=np.uint32)
+    work = np.array([[6.0, 1.0]], np.float32)
+    return SilhouetteIndex(
+        objects=np.array([1], np.uint32),
+        frames=np.array([[*centre, radius]], np.float32),
+        pair_start=np.array([0, 6], np.int64),
+        cones=SilhouetteTree(edge, cone, work),
+        hextree=SilhouetteTree(edge[::-1].copy(), box, work),
+    )
+
+
+def no_trees() -> SilhouetteIndex:
+    """Return the index of a city whose objects are too small for trees."""
+    none32 = np.zeros(0, np.uint32)
+    tree = SilhouetteTree(none32, np.zeros((0, 8, 8), np.int16), np.zeros((0, 2), np.float32))
+    return SilhouetteIndex(
+        none32, np.zeros((0, 4), np.float32), np.zeros(1, np.int64), cones=tree, hextree=tree
+    )
+
+
+@cache
+def two_spheres() -> Prepared:
+    """Return a roof, a sphere and a half sphere: trees of three and of two levels.
+
+    The half sphere ends in borders, so that some of its records are in no tree.
+    """
+    # Here, because the tests that kill writers fork a process that needs none of it.
+    from svprep.pipeline import BuildConfig, prepare
+    from svprep.silhouette import index
+    from tests.property.meshes import moved, open_shell, side_by_side, source_mesh, sphere
+
+    whole = sphere(24, 32, 50.0)
+    half = sphere(16, 24, 30.0)
+    upper = half.faces[(half.positions[half.faces, 2] >= -1e-9).all(axis=1)]
+    used, faces = np.unique(upper, return_inverse=True)
+    dome = source_mesh(half.positions[used], faces.reshape(-1, 3))
+    source = side_by_side(
+        open_shell(), moved(whole, (200.0, 0.0, 0.0)), moved(dome, (0.0, 200.0, 10.0))
+    )
+    with patch.object(index, "FEWEST_PAIRS", 64):  # whatever is fastest now
+        return prepare(source, BuildConfig())
 
 
 def assert_same(got: object, expected: object, where: str = "prepared") -> None:
@@ -153,6 +220,7 @@ def nothing() -> Prepared:
         components=Components(one, one, one, np.zeros(0, np.uint8)),
         planes=PlaneTable(np.zeros((0, 4)), none32, STEP_M),
         edges=EdgeTable(np.zeros((0, 4), np.uint32), np.zeros(0, np.uint8)),
+        index=no_trees(),
         repair=RepairRecord(
             defect_counts=np.zeros((0, len(DEFECTS)), np.uint32),
             source_triangles=none32,

@@ -20,7 +20,7 @@ from svprep.cache.verify import CHECKS, verify
 from svprep.cache.writer import write_cache
 from svprep.errors import CacheError
 from svprep.model import Prepared
-from tests.unit.cache_samples import assert_same, strip_and_tetrahedron
+from tests.unit.cache_samples import assert_same, no_trees, strip_and_tetrahedron, two_spheres
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ def test_foreign_files(tmp_path: Path) -> None:
         open_cache(tmp_path / "pipe")
 
 
-@pytest.mark.parametrize(("version", "advice"), [(2, "Upgrade"), (0, "svprep build")])
+@pytest.mark.parametrize(("version", "advice"), [(3, "Upgrade"), (1, "svprep build")])
 def test_another_schema(version: int, advice: str, copy: Path) -> None:
     with h5py.File(copy, "r+") as file:
         file.attrs.modify("schema_version", np.uint32(version))
@@ -335,6 +335,23 @@ BUGS: dict[str, tuple[tuple[str, object, object], tuple[str, str]]] = {
     "closed": (("components/flags", 0, 1), ("V408", "components/flags")),
     "not closed": (("components/flags", 1, 0), ("V408", "components/flags")),
     "grouping": (("components/face_start", 1, 3), ("V409", "objects")),
+    "plane unused": (("planes/plane_of_face", 5, 3), ("V410", "planes/d")),
+    "plane order": (
+        ("planes/plane_of_face", slice(2, 4), [2, 1]),
+        ("V410", "planes/plane_of_face"),
+    ),
+    "plane of a neighbour": (("planes/plane_of_face", 2, 0), ("V410", "planes/plane_of_face")),
+    "no faces": (("components/face_start", 1, 0), ("V409", "components")),
+    "edge not in a tree": (("cones/edge", 0, 6), ("V411", "cones/edge")),
+    "edge of no pair in a tree": (("hextree/edge", 2, 3), ("V411", "hextree/edge")),
+    "tree of another object": (("index/object", 0, 0), ("V411", "hextree/edge")),
+    "tree without edges": (("index/pair_start", 1, 0), ("V301", "index/pair_start")),
+    "frame nan": (("index/frame", (0, 1), np.nan), ("V411", "index/frame")),
+    "frame without radius": (("index/frame", (0, 3), 0.0), ("V411", "index/frame")),
+    "frame elsewhere": (("index/frame", (0, 0), 4.0), ("V411", "index/frame")),
+    "work": (("hextree/work", (0, 1), np.inf), ("V411", "hextree/work")),
+    "work below zero": (("cones/work", (0, 0), -1.0), ("V411", "cones/work")),
+    "box": (("hextree/blocks", (0, 0, 0), 500), ("V412", "hextree/blocks")),
     "count order": (("repair/count_object", 0, 1), ("V501", "repair/count_object")),
     "count zero": (("repair/count", 0, 0), ("V501", "repair/count")),
     "finding order": (("repair/finding_source_face", 1, 9), ("V501", "repair/finding_object")),
@@ -359,6 +376,114 @@ def test_broken_invariants_are_named(name: str, copy: Path) -> None:
     # A reader gives tables or one line, never a traceback.
     with contextlib.suppress(CacheError), open_cache(copy) as cache:
         cache.prepared()
+
+
+@pytest.fixture(scope="module")
+def spheres(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("spheres") / "spheres.svp.h5"
+    write_cache(two_spheres(), path)
+    assert verify(path) == []
+    return path
+
+
+def _swap(array: np.ndarray, i: int, j: int) -> None:
+    array[[i, j]] = array[[j, i]]
+
+
+def _narrow(array: np.ndarray, block: int, number: int, n_units: int) -> None:
+    array[block, number, 0] -= n_units
+
+
+# (dataset, change), then the one problem that must be reported. The large tree has
+# 33 blocks (1, 4, 28), the small one 8 (1, 7); edges 1752 and on are the small one's.
+TREE_BUGS: dict[str, tuple[str, Callable[[np.ndarray], None], tuple[str, str]]] = {
+    "an edge twice": (
+        "hextree/edge",
+        lambda a: a.__setitem__(5, a[6]),
+        ("V411", "hextree/edge"),
+    ),
+    "edges of two trees swapped": (
+        "cones/edge",
+        lambda a: _swap(a, 10, 1800),
+        ("V411", "cones/edge"),
+    ),
+    "edges of one tree swapped": (
+        "hextree/edge",
+        lambda a: _swap(a, 0, 1751),
+        ("V412", "hextree/blocks"),
+    ),
+    "objects swapped": ("index/object", lambda a: _swap(a, 0, 1), ("V411", "index/object")),
+    "a tree that begins late": (
+        "index/pair_start",
+        lambda a: a.__setitem__(1, a[1] + 1),
+        ("V411", "cones/edge"),
+    ),
+    "too few blocks": (
+        "index/pair_start",
+        lambda a: a.__setitem__(1, 900),
+        ("V411", "index/pair_start"),
+    ),
+    "a tree without edges": (
+        "index/pair_start",
+        lambda a: a.__setitem__(1, 0),
+        ("V411", "index/pair_start"),
+    ),
+    "frames swapped": ("index/frame", lambda a: _swap(a, 0, 1), ("V411", "index/frame")),
+    "a frame too large": (
+        "index/frame",
+        lambda a: a.__setitem__((1, 3), 2.0 * a[1, 3]),
+        ("V412", "hextree/blocks"),
+    ),
+    "a frame moved": (
+        "index/frame",
+        lambda a: a.__setitem__((0, slice(2, None)), a[0, 2:] + 1.0),
+        ("V412", "hextree/blocks"),
+    ),
+    **{
+        f"a box too narrow: block {block}, number {number}": (
+            "hextree/blocks",
+            lambda a, block=block, number=number: _narrow(a, block, number, 3),
+            ("V412", "hextree/blocks"),
+        )
+        for block, number in ((0, 4), (2, 7), (20, 5), (33, 6), (40, 7))
+    },
+    "a box moved": (
+        "hextree/blocks",
+        lambda a: a.__setitem__((32, 0, 1), a[32, 0, 1] + 3),
+        ("V412", "hextree/blocks"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TREE_BUGS)
+def test_a_wrong_tree_is_named_and_nothing_else(name: str, spheres: Path, tmp_path: Path) -> None:
+    path, change, expected = TREE_BUGS[name]
+    copy = Path(shutil.copy(spheres, tmp_path))
+    with h5py.File(copy, locking=False) as file:
+        array = file[path][...]
+    change(array)
+    rewrite(copy, **{path: array})
+    problems = verify(copy)
+    assert expected in [(p.code, p.where) for p in problems], [str(p) for p in problems]
+    assert {p.code for p in problems} == {expected[0]}
+
+
+def test_random_values_in_trees_raise_nothing(spheres: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    copy = Path(shutil.copy(spheres, tmp_path))
+    names = [s.path for s in schema.DATASETS if s.path.startswith(("index", "cones", "hextree"))]
+    names += ["edges/half_edges", "edges/flags", "planes/face"]
+    with h5py.File(copy, locking=False) as file:
+        original = {name: file[name][...] for name in names}
+    for _ in range(60):
+        name = names[rng.integers(len(names))]
+        array = original[name].copy()
+        raw = array.view(np.uint8).reshape(-1)
+        raw[rng.integers(len(raw), size=3)] ^= rng.integers(1, 256, size=3, dtype=np.uint8)
+        rewrite(copy, **{name: array})
+        assert found_in(copy) != ["CacheError"]
+        rewrite(copy, **{name: original[name]})
+    assert verify(copy) == []
 
 
 def test_random_values_with_right_digests_raise_nothing(copy: Path) -> None:
@@ -436,6 +561,7 @@ def make_split() -> Prepared:
         ),
         planes=replace(sample.planes, planes=planes, plane_of_face=np.arange(3, dtype=np.uint32)),
         edges=replace(sample.edges, rows=rows, flags=np.array([2, 1, 1, 1, 1, 2, 1, 1], np.uint8)),
+        index=no_trees(),
         repair=replace(
             sample.repair,
             defect_counts=sample.repair.defect_counts[:1] * np.uint32(0),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
@@ -18,11 +19,14 @@ from svprep.cache.verify import verify
 from svprep.cache.writer import WRITE_POINTS, write_cache
 from svprep.errors import CacheError, InternalError
 from svprep.model import NO_INDEX, Prepared
-from tests.unit.cache_samples import assert_same, nothing, strip_and_tetrahedron
+from tests.unit.cache_samples import assert_same, nothing, strip_and_tetrahedron, two_spheres
 
 
-@pytest.mark.parametrize("prepared", [strip_and_tetrahedron(), nothing()], ids=["city", "nothing"])
-def test_round_trip(prepared: Prepared, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "sample", [strip_and_tetrahedron, two_spheres, nothing], ids=["city", "spheres", "nothing"]
+)
+def test_round_trip(sample: Callable[[], Prepared], tmp_path: Path) -> None:
+    prepared = sample()
     path = tmp_path / "a.svp.h5"
     summary = write_cache(prepared, path, crs="EPSG:7415")
     assert verify(path) == []

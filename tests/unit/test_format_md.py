@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,21 @@ import numpy as np
 import pytest
 
 from svprep import __version__, pipeline
+from svprep.cache.codec import encode_datasets
 from svprep.cache.schema import ATTRIBUTES, DATASETS
 from svprep.cache.writer import write_cache
 from svprep.defects import DEFECTS
 from svprep.facing import facing
 from svprep.ingest import read
 from svprep.model import NO_INDEX, EdgeFlag, Prepared
-from tests.unit.cache_samples import strip_and_tetrahedron
+from svprep.silhouette import silhouette
+from svprep.validate import random_lights
+from tests.unit.cache_samples import strip_and_tetrahedron, two_spheres
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "FORMAT.md").read_text(encoding="utf-8")
-SILHOUETTES, READER = re.findall(r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
-"""The two blocks of code."""
+SILHOUETTES, SEARCH, READER = re.findall(r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+"""The three blocks of code."""
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +66,7 @@ def test_the_reader_is_short_and_needs_only_h5py_and_numpy(reader: Path) -> None
     code = reader.read_text(encoding="utf-8")
     assert len(code.splitlines()) < 150
     assert len(SILHOUETTES.splitlines()) <= 20
+    assert len(SEARCH.splitlines()) <= 45
     imported = set(re.findall(r"^\s*(?:import|from) (\w+)", code, re.MULTILINE))
     assert imported <= {"h5py", "numpy"} | sys.stdlib_module_names
 
@@ -89,6 +94,7 @@ def test_the_reader_reads_a_cache(reader: Path, tmp_path: Path) -> None:
         "n_planar": 1,
         "n_single_face_edges": int((rows[:, 2:] == NO_INDEX).sum()),
         "n_faces_up": 3,
+        "n_trees": 1,
         "n_closed_components": 1,
         "n_defects": int(sample.repair.defect_counts.sum()),
         "area_m2": pytest.approx(2 + 3 * 0.5 + np.sqrt(3) / 2),
@@ -133,16 +139,27 @@ def test_the_reader_answers_misuse_in_one_line(reader: Path, tmp_path: Path) -> 
         assert result.stderr.count("\n") == 1, result.stderr
 
 
-def sides(prepared: Prepared, path: Path, light: np.ndarray) -> np.ndarray:
-    """Return the multiplicities that FORMAT.md's two blocks of code read from a cache."""
+def code_of_format_md() -> dict[str, Any]:
+    """Return what FORMAT.md's three blocks of code define."""
     names: dict[str, Any] = {"__name__": "reader"}
-    exec(READER + SILHOUETTES, names)
-    write_cache(prepared, path)
+    exec(READER + SILHOUETTES + SEARCH, names)
+    return names
+
+
+def read_tables(names: dict[str, Any], path: Path) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Return datasets, planes and rows of a cache as FORMAT.md's reader makes them."""
     _, data = names["read_file"](path)
     faces = data["mesh/face_corners"].reshape(-1, 3)
     rows = names["edge_rows"](data["mesh/face_corners"], data["edges/half_edges"])
     record = data["planes/face"], data["planes/d"]
-    planes = names["plane_records"](data["mesh/positions"], faces, *record)
+    return data, names["plane_records"](data["mesh/positions"], faces, *record), rows
+
+
+def sides(prepared: Prepared, path: Path, light: np.ndarray) -> np.ndarray:
+    """Return the multiplicities that FORMAT.md's code reads from a cache."""
+    names = code_of_format_md()
+    write_cache(prepared, path)
+    data, planes, rows = read_tables(names, path)
     assert np.array_equal(rows, prepared.edges.rows)
     assert np.array_equal(planes, prepared.planes.planes)
     m: np.ndarray = names["multiplicities"](data, planes, rows, light)
@@ -212,3 +229,71 @@ def test_the_formulas_give_closed_volumes(model: str, tmp_path: Path) -> None:
             assert np.array_equal(starts, ends)
             assert np.abs(m[own]).max() <= (1 if is_closed else 2)
     assert bool(n_closed) == bool((parts.flags & 2).any())
+
+
+def test_the_search_of_a_tree_finds_the_silhouette(tmp_path: Path) -> None:
+    names = code_of_format_md()
+    for sample in (two_spheres(), strip_and_tetrahedron()):
+        path = tmp_path / "a.svp.h5"
+        write_cache(sample, path)
+        data, planes, rows = read_tables(names, path)
+        n_found = 0
+        for light in random_lights(sample.mesh, sample.components, 40):
+            for tree, number in enumerate(sample.index.objects.tolist()):
+                edge, m = names["object_silhouette"](data, planes, rows, light, tree)
+                expected = silhouette(sample, light, "brute", objects=[number])
+                assert np.array_equal(edge, expected.edge)
+                assert np.array_equal(m, expected.multiplicity)
+                n_found += len(edge)
+        assert n_found > 100
+
+
+def test_the_search_leaves_most_edges_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise a test that decides nothing would be right too."""
+    names = code_of_format_md()
+    sample = two_spheres()
+    data = {name: np.asarray(array) for name, array in encode_datasets(sample).items()}
+    looked_at: list[int] = []
+    right = names["multiplicities"]
+
+    def counted(data: Any, planes: Any, rows: Any, light: Any, edge: Any) -> Any:
+        looked_at.append(len(edge))
+        return right(data, planes, rows, light, edge)
+
+    monkeypatch.setitem(names, "multiplicities", counted)
+    light = np.array([1.0, 2.0, 3.0, 0.0])
+    names["object_silhouette"](data, sample.planes.planes, sample.edges.rows, light, 0)
+    n_edges = sample.index.pair_start[1]
+    assert 0 < looked_at[0] < n_edges / 2
+
+
+def test_the_test_of_cones_decides_only_what_is_decided() -> None:
+    """The formula of FORMAT.md against the facing of every edge below each node."""
+    level_sizes = code_of_format_md()["level_sizes"]
+    sample = two_spheres()
+    index, rows, base, n_decided = sample.index, sample.edges.rows, 0, 0
+    lights = random_lights(sample.mesh, sample.components, 40).astype(np.float64)
+    for tree, (begin, end) in enumerate(pairwise(index.pair_start.tolist())):
+        *c, r = index.frames[tree].astype(np.float64)
+        records = sample.planes.plane_of_face[rows[index.cones.edge[begin:end], 2:]]
+        sizes = level_sizes(end - begin)
+        for height, n_blocks in zip(range(len(sizes) - 2, -1, -1), sizes[:-1], strict=True):
+            block = index.cones.blocks[base : base + n_blocks].astype(np.float64) / 32000
+            base += n_blocks
+            node = np.arange(end - begin) // 8 ** (height + 1)
+            number = block.transpose(0, 2, 1).reshape(-1, 8)[: node[-1] + 1].T
+            axis = number[4:7] / np.linalg.norm(number[4:7], axis=0)
+            for light in lights:
+                w = light[3]
+                towards = (light[:3] - w * np.array(c)) / r
+                d = towards[:, None] - w * number[:3]
+                along = (axis * d).sum(axis=0)
+                across = np.sqrt(np.maximum((d * d).sum(axis=0) - along**2, 0.0))
+                least = abs(along) * np.sqrt(1 - number[7] ** 2) - across * number[7]
+                slack = 2e-6 * (abs(towards).sum() + 2 * w)
+                is_decided = (least > number[3] * w + slack) & (number[7] < 1)
+                s = facing(sample.planes.planes, light)[records]
+                assert (s[is_decided[node]] == np.sign(along)[node[is_decided[node]], None]).all()
+                n_decided += int(is_decided.sum())
+    assert base == len(index.cones.blocks)
+    assert n_decided > 1000

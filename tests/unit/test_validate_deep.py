@@ -16,6 +16,7 @@ from svprep.errors import EnvironmentProblem
 from svprep.ingest import read
 from svprep.model import ComponentFlag, Prepared
 from svprep.pipeline import BuildConfig, prepare
+from tests.unit.cache_samples import two_spheres
 
 CONFORMANCE = Path(__file__).resolve().parents[2] / "data" / "conformance"
 
@@ -74,7 +75,71 @@ def test_a_wrong_sum_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
 
     monkeypatch.setattr(checks, "row_multiplicity", one_edge_off)
     codes = {p.code for p in checks.validate(path, deep=True).problems}
-    assert codes == {"V602"}
+    assert codes == {"V602", "V605"}
+
+
+@pytest.mark.parametrize("method", checks.SEARCHES)
+def test_a_search_that_misses_an_edge_is_found(
+    method: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.svp.h5"
+    write_cache(prepared("clean_cube.obj"), path)
+    right = checks.silhouette
+
+    def one_edge_short(cache, light, asked):
+        found = right(cache, light, asked)
+        if asked != method:
+            return found
+        return replace(found, edge=found.edge[1:], multiplicity=found.multiplicity[1:])
+
+    monkeypatch.setattr(checks, "silhouette", one_edge_short)
+    problems = checks.validate(path, deep=True).problems
+    assert {p.code for p in problems} == {"V605"}
+    assert all(f"method {method} " in p.message for p in problems)
+
+
+def test_right_trees_pass(tmp_path: Path) -> None:
+    assert deep(two_spheres(), tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("block", "number", "n_units"),
+    [(1, 3, 3), (3, 3, 3), (20, 3, 3), (34, 3, 3), (2, 7, 3), (15, 7, 3), (40, 7, 3)],
+)
+def test_a_sphere_or_cone_too_small_is_found(
+    block: int, number: int, n_units: int, tmp_path: Path
+) -> None:
+    right = two_spheres()
+    blocks = right.index.cones.blocks.copy()
+    assert 0 < blocks[block, number, 0] < 32_000
+    blocks[block, number, 0] -= n_units
+    assert deep(with_cones(right, blocks), tmp_path) == ["V412"]
+
+
+@pytest.mark.parametrize("number", [1, 4, 5])
+def test_a_sphere_moved_or_an_axis_turned_is_found(number: int, tmp_path: Path) -> None:
+    blocks = two_spheres().index.cones.blocks.copy()
+    blocks[10, number, 2] += 1_500
+    assert deep(with_cones(two_spheres(), blocks), tmp_path) == ["V412"]
+
+
+def test_a_bound_far_too_small_loses_edges_and_both_are_said(tmp_path: Path) -> None:
+    blocks = two_spheres().index.cones.blocks.copy()
+    blocks[1:33, 3] //= 2
+    blocks[1:33, 7] //= 2
+    assert set(deep(with_cones(two_spheres(), blocks), tmp_path)) == {"V412", "V605"}
+
+
+def test_a_cone_that_bounds_nothing_needs_no_sphere(tmp_path: Path) -> None:
+    blocks = two_spheres().index.cones.blocks.copy()
+    blocks[10, :7, 2] = 0
+    blocks[10, 7, 2] = 32_000
+    assert deep(with_cones(two_spheres(), blocks), tmp_path) == []
+
+
+def with_cones(right: Prepared, blocks: np.ndarray) -> Prepared:
+    cones = replace(right.index.cones, blocks=blocks)
+    return replace(right, index=replace(right.index, cones=cones))
 
 
 def test_without_manifold3d_the_install_command_is_named(
