@@ -66,6 +66,8 @@ class Plan:
     """``(k,)``: where their multiplicities go."""
     n_scanned: int
     n_keys: int
+    no_keys: I64
+    """``(k,)`` zeros."""
     chunks: tuple[Chunk, ...]
     is_cut: bool
     """Whether a large object lies in several chunks: its records then wait until
@@ -130,6 +132,7 @@ def make_plan(
         to=read_only(to),
         n_scanned=int(length.sum()),
         n_keys=int(key[-1]),
+        no_keys=read_only(np.zeros(len(objects), np.int64)),
         chunks=tuple(chunks),
         is_cut=is_cut,
     )
@@ -226,8 +229,9 @@ class Run:
         self.s[-1] = 0
         self.m = scratch.array("multiplicity", plan.n_scanned, np.int8)
         self.keys = scratch.array("keys", plan.n_keys, np.uint64)
-        self.key_begin = np.zeros(len(plan.objects), np.int64)
-        self.key_end = np.zeros(len(plan.objects), np.int64)
+        # A scanned object has no keys; where all are scanned, the plan's zeros do.
+        self.key_begin = plan.no_keys if plan.n_keys == 0 else plan.no_keys.copy()
+        self.key_end = self.key_begin if plan.n_keys == 0 else plan.no_keys.copy()
         self.tested = np.zeros((len(plan.chunks), 2), np.int64)
         self.n_rows = [0] * len(plan.chunks)
 
@@ -288,7 +292,7 @@ class Run:
         plan, chunk = self.plan, self.plan.chunks[i]
         compress(
             self.tables.record, self.m, plan.begin, plan.end, plan.to,
-            self.keys, self.key_begin, self.key_end,
+            self.keys, read_only(self.key_begin), read_only(self.key_end),
             chunk.first, chunk.last, chunk.begin_at, chunk.end_at,
             sum(self.n_rows[:i]), self.n_rows[i], edge, multiplicity, start,
         )  # fmt: skip
