@@ -1,8 +1,9 @@
 """Which side of a plane record a light is on: decided here, once, and nowhere else.
 
 A shadow volume is closed for any single choice of facing per face; it leaks only
-where two places decide differently. So everything that needs facing, on the CPU
-or uploaded to the GPU, reads the result of `facing`.
+where two places decide differently. So everything that needs facing, uploaded to the
+GPU too, reads the result of `facing`; silhouette queries, which decide it plane by plane
+while they search, take it from the same kernel function.
 """
 
 from __future__ import annotations

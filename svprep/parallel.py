@@ -18,6 +18,8 @@ from svprep.model import I64
 
 T = TypeVar("T")
 
+MOST_THREADS = 256
+"""More than any machine gains from."""
 _SMALLEST_SHARE = 20_000
 """Work items below which a second thread costs more than it brings."""
 
@@ -25,8 +27,8 @@ _SMALLEST_SHARE = 20_000
 def thread_count() -> int:
     """Return how many threads to use: ``SVPREP_THREADS``, or the cores we may run on."""
     asked = os.environ.get("SVPREP_THREADS", "")
-    if asked.isdigit() and int(asked) > 0:
-        return int(asked)
+    if asked.isascii() and asked.isdigit() and int(asked) > 0:
+        return min(int(asked), MOST_THREADS)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

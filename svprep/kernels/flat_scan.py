@@ -23,9 +23,10 @@ _WIDTH = 16
 def _can_pack() -> bool:
     """Whether compiled code may use the instructions of `_pack` (AVX-512 VBMI2).
 
-    Not if Numba was told to compile for another processor than this one.
+    Not if Numba compiles for another processor than this one, or without AVX, which it
+    leaves out by itself on some virtual machines.
     """
-    if config.CPU_NAME or config.CPU_FEATURES:
+    if config.CPU_NAME or config.CPU_FEATURES or not config.ENABLE_AVX:
         return False
     features = binding.get_host_cpu_features()
     return all(features.get(name) for name in ("avx512f", "avx512vl", "avx512vbmi2"))

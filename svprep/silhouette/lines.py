@@ -43,7 +43,7 @@ _ZIP_NAME_AT: Final = 30
 """Bytes before a name in an archive."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Lines:
     """The lines of a silhouette and the vertices that they use, grouped by object."""
 

@@ -15,7 +15,7 @@ from svprep.model import F32, F64, I8, I64, Prepared
 from svprep.silhouette.cost import is_tree_cheaper, tree_costs
 from svprep.silhouette.result import Silhouette
 from svprep.silhouette.scan import Plan, Run, Scratch, make_plan
-from svprep.silhouette.tables import SearchTables, read_only
+from svprep.silhouette.tables import SearchTables, contradiction, read_only
 from svprep.silhouette.trees import TreeTables, common_floor, tree_tables
 from svprep.silhouette.walks import brute, edge_buffer, elimination
 
@@ -75,13 +75,17 @@ def silhouette(
         one for all, for study; closed is wrong for components that are not solid.
     objects : array_like, optional
         Indices of the objects to look at, all by default; sorted, duplicates
-        merged. The query's cost is in proportion to them.
+        merged. The query's cost is in proportion to them, save for scratch memory.
 
     Raises
     ------
     InputError
         The light is not such, or names no direction; an unknown method or volume;
         an object that is not there.
+    CacheError
+        The tables contradict each other: the file is not as svprep writes it.
+    TypeError
+        `cache` is neither.
 
     Notes
     -----
@@ -95,6 +99,8 @@ def silhouette(
 
 
 def _search_of(cache: Cache | Prepared) -> _Search:
+    if not hasattr(cache, "index"):
+        raise TypeError(f"expected an open cache or Prepared tables, got {type(cache).__name__}")
     search = _searches.get(cache)
     if search is None:
         search = _searches[cache] = _Search(cache)
@@ -138,6 +144,8 @@ class _Search:
         """Return, per method, each object's tree, or -1 to scan it."""
         index = self.tables.index
         none = np.full(self.tables.n_objects, -1, np.int64)
+        if len(index.objects) and int(index.objects.max()) >= len(none):
+            raise contradiction("a silhouette tree is of an object that is not there")
         every, cheaper = none.copy(), none.copy()
         numbers = np.arange(len(index.objects))
         every[index.objects] = numbers
@@ -177,7 +185,7 @@ class _Search:
             self._scratch.append(scratch)
             everything = plan.objects
         edge, multiplicity, start, work = rows
-        return Silhouette(edge, multiplicity, everything, start, light, method, work)
+        return Silhouette(edge, multiplicity, everything.copy(), start, light, method, work)
 
     def _floor(self, light: F32, volume: str, objects: I64 | None) -> tuple[I8, I64]:
         """Return the floor of each plane record for this light, and the solids excepted."""
@@ -216,7 +224,10 @@ class _Search:
 
 
 def _checked_objects(objects: ArrayLike, n_objects: int) -> I64:
-    asked = np.asarray(objects)
+    try:
+        asked = np.asarray(objects)
+    except ValueError:
+        raise InputError("objects are a list of whole numbers, not a ragged one") from None
     if asked.size == 0:
         return np.zeros(0, np.int64)
     if asked.ndim != 1 or asked.dtype.kind not in "iu":

@@ -14,12 +14,12 @@ class Work:
     """What a query looked at: the same for the same cache, light and method."""
 
     n_edges: int
-    """Edge records whose multiplicity was computed."""
+    """Edge records whose multiplicity was computed, on the way or for good."""
     n_nodes: int
     """Nodes of an index whose bounds were tested."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Silhouette:
     """The edge records whose multiplicity is not zero, for one light.
 

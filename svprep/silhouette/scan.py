@@ -103,8 +103,6 @@ def make_plan(
     chunks = []
     for i, ((first, skipped), (last, more)) in enumerate(pairwise(cuts)):
         stop = last + (more > 0)
-        if stop <= first:
-            continue
         begin_at = int(begin[first]) + skipped
         end_at = int(begin[last]) + more if more else int(end[stop - 1])
         at = first + np.flatnonzero(~is_scanned[first:stop])
@@ -149,8 +147,8 @@ def _cuts(work: F64, length: I64) -> list[tuple[int, int]]:
         # Only a large object is worth cutting.
         skipped = int(target - (total[k] - work[k])) if length[k] >= 2 * _SHARE else 0
         cuts.append((k, min(skipped, int(length[k]))))
-    cuts.append((len(work), 0))
-    return cuts
+    # Two may fall into one small object: an empty chunk would take its share of planes along.
+    return list(dict.fromkeys([*cuts, (len(work), 0)]))
 
 
 def _joined(begin: I64, end: I64) -> Ranges:

@@ -11,11 +11,55 @@ from numpy.typing import NDArray
 
 from svprep.errors import CacheError
 from svprep.kernels.face_walks import record_of_sides, scan_tables
-from svprep.model import F32, F64, I8, I64, U32, U64, ComponentFlag, EdgeFlag, Prepared
+from svprep.model import (
+    F32,
+    F64,
+    I8,
+    I64,
+    NO_INDEX,
+    U32,
+    U64,
+    ComponentFlag,
+    EdgeFlag,
+    Prepared,
+)
 from svprep.silhouette.volumes import component_bounds
 
 if TYPE_CHECKING:
     from svprep.cache.reader import Cache
+
+
+def contradiction(what: str) -> CacheError:
+    """Return the error for tables that no build makes: kernels would go astray on them."""
+    return CacheError(
+        f"the tables of the cache contradict each other: {what}. Look closer with "
+        "svprep validate CACHE, and build it again"
+    )
+
+
+def check_starts(name: str, start: I64, end: int) -> None:
+    """Raise `CacheError` unless offsets rise from 0 to `end`."""
+    if not len(start) or start[0] != 0 or start[-1] != end or (np.diff(start) < 0).any():
+        raise contradiction(f"{name} does not rise from 0 to {end}")
+
+
+def _check_offsets(source: Cache | Prepared) -> None:
+    """Raise `CacheError` where a kernel would read or write beyond an array. O(n)."""
+    parts, mesh, n_edges = source.components, source.mesh, len(source.edges.rows)
+    n_faces = len(mesh.faces)
+    check_starts("objects/component_start", parts.object_start, len(parts.flags))
+    check_starts("objects/face_start", mesh.object_face_start, n_faces)
+    check_starts("components/face_start", parts.face_start, n_faces)
+    check_starts("components/edge_start", parts.edge_start, n_edges)
+    if (np.diff(parts.face_start) == 0).any():
+        raise contradiction("a component has no face")
+    plane_of_face = source.planes.plane_of_face
+    if len(plane_of_face) != n_faces or (
+        n_faces and int(plane_of_face.max()) >= len(source.planes.planes)
+    ):
+        raise contradiction("a face has a plane record that is not there")
+    if len(source.edges.flags) != n_edges:
+        raise contradiction("there are more edge records than flags, or fewer")
 
 
 BLOCK = 1 << 15
@@ -69,6 +113,7 @@ class SearchTables:
     def __init__(self, source: Cache | Prepared) -> None:
         parts, edges = source.components, source.edges
         self.mesh, self.components, self.edges = source.mesh, parts, edges
+        _check_offsets(source)
         self.index = source.index
         self.plane_of_face: U32 = read_only(source.planes.plane_of_face)
         self.planes: F64 = read_only(source.planes.planes)
@@ -78,10 +123,7 @@ class SearchTables:
         component_plane = np.append(self.plane_of_face.take(parts.face_start[:-1]), n_planes)
         component_plane = component_plane.astype(np.int64)
         if component_plane[0] != 0 or (np.diff(component_plane) <= 0).any():
-            raise CacheError(
-                "the plane records are not numbered by their lowest face. Check the cache: "
-                "svprep validate CACHE"
-            )
+            raise contradiction("plane records are not numbered by their lowest face")
         self.plane_start: I64 = read_only(component_plane[parts.object_start])
         self._component_plane = component_plane
         is_solid = (parts.flags & np.uint8(ComponentFlag.SOLID)) != 0
@@ -139,7 +181,12 @@ class SearchTables:
     def record_of_sides(self) -> U32:
         """``(3 n_faces,)``: the edge record of each side of each face."""
         record = np.empty(3 * len(self.mesh.faces), np.uint32)
+        record[:] = NO_INDEX
         record_of_sides(read_only(self.edges.rows), read_only(self.mesh.faces), record)
+        n_sides = 3 * np.diff(self.mesh.object_face_start)
+        low, high = (np.repeat(self.object_edge[k:][: len(n_sides)], n_sides) for k in (0, 1))
+        if ((record < low) | (record >= high)).any():
+            raise contradiction("a side of a face is in no edge record of its object")
         return read_only(record)
 
     def solids_around(self, light: F32, objects: I64 | None) -> I64:

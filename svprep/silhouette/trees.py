@@ -9,7 +9,7 @@ import numpy as np
 from svprep.kernels.tree_build import write_leaves
 from svprep.model import F32, I8, I16, I64, U32, SilhouetteTree
 from svprep.parallel import for_ranges
-from svprep.silhouette.tables import SearchTables, read_only
+from svprep.silhouette.tables import SearchTables, check_starts, contradiction, read_only
 
 LEAF = 8
 """Edges in a leaf, and children of a node: the lanes of a block."""
@@ -59,8 +59,10 @@ class TreeTables:
 def tree_tables(tables: SearchTables, tree: SilhouetteTree) -> TreeTables:
     """Return the tables of one tree. O(n), once per cache and kind."""
     index = tables.index
-    starts = tree_starts(index.pair_start)
     objects = index.objects.astype(np.int64)
+    check_starts("index/pair_start", index.pair_start, len(tree.edge))
+    starts = tree_starts(index.pair_start)
+    _check_tree(tables, tree, starts)
     position_of_record = np.zeros(len(tables.edges.rows), np.uint32)
     position_of_record[tables.record] = np.arange(len(tables.record), dtype=np.uint32)
     position = position_of_record.take(tree.edge)
@@ -96,6 +98,30 @@ def tree_tables(tables: SearchTables, tree: SilhouetteTree) -> TreeTables:
         always_refs=read_only(always_refs),
         floor_of_tree=read_only(floors),
     )
+
+
+def _check_tree(tables: SearchTables, tree: SilhouetteTree, starts: I64) -> None:
+    """Raise `CacheError` where a search would read beyond an array or name a wrong edge."""
+    index = tables.index
+    objects, n_trees = index.objects.astype(np.int64), len(index.objects)
+    is_whole = (
+        len(starts) == n_trees + 1
+        and len(index.frames) == n_trees
+        and len(tree.expected_work) == n_trees
+        and len(tree.blocks) == starts[-1, 1]
+        and (np.diff(starts[:, 0]) > 0).all()
+        and (np.diff(objects) > 0).all()
+        and (n_trees == 0 or objects[-1] < tables.n_objects)
+        and (index.frames[:, 3] > 0.0).all()
+    )
+    if not is_whole:
+        raise contradiction("the silhouette trees do not fit their objects")
+    first = starts[:-1, 0]
+    low, high = (f.reduceat(tree.edge, first) for f in (np.minimum, np.maximum))
+    if (low < tables.object_edge[objects]).any() or (high >= tables.object_edge[objects + 1]).any():
+        raise contradiction("a silhouette tree holds edges of another object")
+    if (tables.edges.flags.take(tree.edge) != 0).any():
+        raise contradiction("a silhouette tree holds planar, border or split records")
 
 
 def _on_lines(n: int) -> I16:

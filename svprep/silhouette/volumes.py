@@ -29,7 +29,8 @@ def closed_volume_allowed(components: Components, bounds: tuple[F32, F32], light
     """Return ``(n_components,)``: solid, and the light outside its bounds.
 
     ``bounds`` as `component_bounds` returns them; not looked at for a directional
-    light, which is always outside.
+    light, which is always outside. Queries do the same for solids alone:
+    `SearchTables.solids_around`.
     """
     is_solid = (components.flags & np.uint8(ComponentFlag.SOLID)) != 0
     if light[3] == 0.0:

@@ -16,7 +16,7 @@ Rows = tuple[U32, I8, I64, Work]
 
 def brute(tables: SearchTables, objects: I64, light: F32, floor: I8) -> Rows:
     """Compute the multiplicity of every edge record of `objects`, planar ones too."""
-    s = np.append(_facing_of_faces(tables, objects, light, floor), np.int8(0))
+    s = _facing_of_faces(tables, objects, light, floor)
     edge_begin, edge_end = tables.object_edge[objects], tables.object_edge[objects + 1]
     edges = ranges(edge_begin, edge_end)
     sides = tables.edges.rows[:, 2:].take(edges, axis=0)
@@ -74,26 +74,30 @@ def elimination(tables: SearchTables, objects: I64, light: F32, floor: I8) -> Ro
     order = np.argsort(listed[:n, 0])
     found = listed[:n, 0][order]
     start = np.searchsorted(found, tables.object_edge[objects])
-    n_sides = 3 * int((end - begin).sum())
     return (
         found.astype(np.uint32),
         values[:n][order],
         np.append(start, n).astype(np.int64),
-        Work(n_sides, 0),
+        Work(len(edges), 0),
     )
 
 
 def _facing_of_faces(tables: SearchTables, objects: I64, light: F32, floor: I8) -> I8:
-    """Return the counted facing of the faces of `objects`, ``(n_faces,)``; others are not set."""
+    """Return the counted facing of the faces of `objects`, ``(n_faces + 1,)``.
+
+    Those of other objects are not set; the last, of a missing face, is 0.
+    """
     s = np.empty(len(tables.planes), np.int8)
     begin, end = tables.plane_start[objects], tables.plane_start[objects + 1]
     x, y, z, w = (float(v) for v in light)
     counted_facing(
         tables.planes, tables.units, x, y, z, w, floor, read_only(begin), read_only(end), s
     )
+    of_face = np.empty(len(tables.plane_of_face) + 1, np.int8)
+    of_face[-1] = 0
     if len(objects) == tables.n_objects:
-        return s.take(tables.plane_of_face)
-    of_face = np.empty(len(tables.plane_of_face), np.int8)
+        s.take(tables.plane_of_face, out=of_face[:-1], mode="clip")
+        return of_face
     faces = ranges(*_faces_of(tables, objects))
     of_face[faces] = s.take(tables.plane_of_face.take(faces))
     return of_face
