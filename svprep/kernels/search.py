@@ -435,10 +435,11 @@ def _test_leaves(
             mask &= mask - np.uint32(1)
             at = np.uint64(first_pair) + first + np.uint64(lane)
             bits = (sides >> lane) & np.uint32(0x01010101)
-            if floor_of_all <= 0 and bits == np.uint32(0x01000001):
-                m = np.int64(1) - np.int64(floor_of_all)
-            elif floor_of_all <= 0 and bits == np.uint32(0x00010100):
-                m = np.int64(floor_of_all) - np.int64(1)
+            least = np.int64(floor_of_all if floor_of_all <= 0 else floor[refs[at, 0]])
+            if bits == np.uint32(0x01000001):
+                m = np.int64(1) - least
+            elif bits == np.uint32(0x00010100):
+                m = least - np.int64(1)
             else:
                 left, right = np.uint64(refs[at, 0]), np.uint64(refs[at, 1])
                 m = _multiplicity(planes, floor, left, right, light)

@@ -24,8 +24,10 @@ from svprep.silhouette.result import Work
 from svprep.silhouette.tables import SearchTables, read_only
 from svprep.silhouette.trees import TreeTables
 
-_SHARE = 40_000
-"""Scanned records that are worth a second thread."""
+_SHARE = 250_000
+"""Scanned records that are worth a thread: waking one takes as long as scanning these."""
+_WORTH_CUTTING = 1_000_000
+"""Records of an object that is worth cutting, which takes one more turn of all threads."""
 
 Ranges = tuple[I64, I64]
 """Begins and ends."""
@@ -145,7 +147,7 @@ def _cuts(work: F64, length: I64) -> list[tuple[int, int]]:
         target = i * total[-1] / n_chunks
         k = min(int(np.searchsorted(total, target, "right")), len(work) - 1)
         # Only a large object is worth cutting.
-        skipped = int(target - (total[k] - work[k])) if length[k] >= 2 * _SHARE else 0
+        skipped = int(target - (total[k] - work[k])) if length[k] >= _WORTH_CUTTING else 0
         cuts.append((k, min(skipped, int(length[k]))))
     # Two may fall into one small object: an empty chunk would take its share of planes along.
     return list(dict.fromkeys([*cuts, (len(work), 0)]))

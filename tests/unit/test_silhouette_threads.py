@@ -64,6 +64,7 @@ def test_any_cut_gives_the_same_rows(
 ) -> None:
     monkeypatch.setenv("SVPREP_THREADS", str(n_threads))
     monkeypatch.setattr(scan, "_SHARE", share)
+    monkeypatch.setattr(scan, "_WORTH_CUTTING", 2 * share)
     rng = np.random.default_rng(n_threads)
     n_objects = len(city.object_names)
     for light in LIGHTS:
@@ -93,7 +94,8 @@ def test_a_large_object_is_cut_whatever_lies_beside_it(
     for small, large in itertools.product(by_size[-2:-24:-3], by_size[-1:-14:-4]):
         if not sizes[small] + 2 <= sizes[large]:
             continue
-        monkeypatch.setattr(scan, "_SHARE", int(sizes[small]) // 2 + 1)
+        monkeypatch.setattr(scan, "_SHARE", 1)
+        monkeypatch.setattr(scan, "_WORTH_CUTTING", int(sizes[small]) + 1)
         asked = np.array([small, large])
         for light in LIGHTS:
             whole = silhouette(city, light, "brute", objects=asked)
