@@ -228,8 +228,8 @@ class SilhouetteTree:
     blocks: I16
     """``(n_blocks, 8, 8)``: bounds of 8 children a block; `SilhouetteIndex`."""
     expected_work: F32
-    """``(n_trees, 2)``: edges and nodes that a query tests, on average over a fixed
-    set of lights."""
+    """``(n_trees, 2)``: edges and nodes that a query tests on average over all lights,
+    estimated from the bounds."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -319,8 +319,8 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
                 "<f4",
                 (T, 2),
                 "",
-                "Edges and nodes that a query of this tree tests, on average over a fixed set of "
-                "lights.",
+                "Edges and nodes that a query of this tree tests on average over all lights, "
+                "estimated from its bounds.",
             ),
         )
     ),

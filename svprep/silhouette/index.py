@@ -165,15 +165,17 @@ def expected_work(is_cones: bool, blocks: I16, starts: I64) -> F32:
     half-angle. A point light adds the extent of d, or the radius, over its distance:
     taken is half as many points as directions, at three radii.
     """
-    numbers = blocks.astype(np.float32) / np.float32(UNIT)
+    numbers = blocks.astype(np.int64)
+    # In sixths of a unit: whole numbers, the same sums on any machine.
     if is_cones:
-        chance = numbers[:, 7] + numbers[:, 3] / 6.0
+        chance = 6 * numbers[:, 7] + numbers[:, 3]
     else:
-        chance = numbers[:, 4:7].sum(axis=1) / 2.0 + 2.0 * numbers[:, 7] / 6.0
-    open_lanes = np.minimum(chance, 1.0).sum(axis=1)
+        chance = 3 * numbers[:, 4:7].sum(axis=1) + 2 * numbers[:, 7]
+    certain = 6 * int(UNIT)
+    open_lanes = np.minimum(chance, certain).sum(axis=1)
     n_leaves = np.diff(starts[:, 2])
     work = np.empty((len(n_leaves), 2), np.float32)
-    total = np.concatenate(([0.0], np.cumsum(open_lanes, dtype=np.float64)))
+    total = np.concatenate(([0], np.cumsum(open_lanes))) / certain
     first_leaf_block = starts[1:, 1] - -(-n_leaves // LEAF)
     work[:, 0] = LEAF * (total[starts[1:, 1]] - total[first_leaf_block])
     work[:, 1] = LEAF * (1.0 + total[first_leaf_block] - total[starts[:-1, 1]])
