@@ -205,7 +205,9 @@ def silhouette(
     volume: Annotated[
         str,
         typer.Option(
-            metavar="V", help="auto (closed where that is right), closed or robust everywhere."
+            metavar="V",
+            help="auto (closed where that is right), or closed or robust everywhere, for study: "
+            "closed is wrong for open surfaces.",
         ),
     ] = "auto",
     objects: Annotated[
@@ -263,7 +265,9 @@ def run(arguments: list[str] | None = None) -> int:
         return 130
     except _UsageError as usage:
         text = usage.format_message()  # type: ignore[attr-defined]
-        _complain(f"{text} (svprep --help lists the options)")
+        context = getattr(usage, "ctx", None)
+        command = context.command_path if context is not None else "svprep"
+        _complain(f"{text} ({command} --help lists the options)")
         return 2
     except SvprepError as error:
         _complain(str(error))

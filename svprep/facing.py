@@ -32,7 +32,8 @@ def checked_light(light: ArrayLike) -> F32:
         given = np.zeros(0, np.float32)
     if given.shape != (4,) or not np.isfinite(given).all() or given[3] not in (0.0, 1.0):
         raise InputError(
-            f"a light is four finite numbers (x, y, z, 1) or (x, y, z, 0), not {light!r}"
+            f"a light is four finite numbers (x, y, z, 1) or (x, y, z, 0), not {light!r} "
+            '(of a text: svprep.light.parse_light("dir:135,35"))'
         )
     if not given.any():
         raise InputError("a light of (0, 0, 0, 0) names no direction")

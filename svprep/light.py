@@ -105,7 +105,13 @@ def parse_light(spec: str) -> Light:
         case "dir":
             azimuth_deg, altitude_deg = _numbers(spec, rest, ("AZIMUTH", "ALTITUDE"))
             if not -90.0 <= altitude_deg <= 90.0:
-                _refuse(spec, f"ALTITUDE {altitude_deg:g} is not between -90 and 90 degrees")
+                swapped = -90.0 <= azimuth_deg <= 90.0
+                hint = f" (AZIMUTH comes first: dir:{altitude_deg:g},{azimuth_deg:g}?)"
+                _refuse(
+                    spec,
+                    f"ALTITUDE {altitude_deg:g} is not between -90 and 90 degrees"
+                    + (hint if swapped else ""),
+                )
             return directional(azimuth_deg, altitude_deg, spec)
         case "point":
             x, y, z = _numbers(spec, rest, ("X", "Y", "Z"))

@@ -167,7 +167,7 @@ def _check_header(file: h5py.File, path: Path) -> None:
     with contextlib.suppress(*DAMAGE):
         stored = bytes(attribute_value(file, ATTRIBUTE_OF_NAME["producer_version"]))
         producer = f"svprep {stored.decode()}"
-    newer = "Upgrade svprep: python3 -m pip install --upgrade svprep"
+    newer = "Upgrade svprep: git pull in its clone, then pip install . there"
     advice = newer if schema > SCHEMA_VERSION else rebuild_advice(path, file)
     raise CacheError(
         f"{path} was written by {producer} with schema {schema}; this svprep reads schema "

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from svprep.errors import InputError
 from svprep.facing import checked_light
+from svprep.light import Light
 from svprep.model import F32, F64, I8, I64, Prepared
 from svprep.silhouette.cost import is_tree_cheaper, tree_costs
 from svprep.silhouette.result import Silhouette
@@ -33,7 +34,7 @@ _WALKS = {"brute": brute, "edge_buffer": edge_buffer, "elimination": elimination
 
 def silhouette(
     cache: Cache | Prepared,
-    light: ArrayLike,
+    light: ArrayLike | Light,
     method: Method = "auto",
     *,
     volume: Volume = "auto",
@@ -64,9 +65,10 @@ def silhouette(
     ----------
     cache : Cache or Prepared
         The first query derives tables from it, which are kept as long as it lives.
-    light : array_like
-        ``(x, y, z, 1)``, a point [m], or ``(x, y, z, 0)``, a direction towards the
-        light; rounded to float32, in the cache frame.
+    light : Light or array_like
+        What `svprep.light.parse_light` returns; or, in the cache frame, ``(x, y, z, 1)``,
+        a point [m], or ``(x, y, z, 0)``, a direction towards the light, rounded to
+        float32.
     method : str
         One of `METHODS`.
     volume : str
@@ -95,12 +97,18 @@ def silhouette(
         raise InputError(f"there is no method {method!r}; there are: {', '.join(METHODS)}")
     if volume not in VOLUMES:
         raise InputError(f"there is no volume {volume!r}; there are: {', '.join(VOLUMES)}")
-    return _search_of(cache).query(checked_light(light), method, volume, objects)
+    search = _search_of(cache)
+    if isinstance(light, Light):
+        light = light.in_cache_frame(search.tables.mesh.grid)
+    return search.query(checked_light(light), method, volume, objects)
 
 
 def _search_of(cache: Cache | Prepared) -> _Search:
-    if not hasattr(cache, "index"):
-        raise TypeError(f"expected an open cache or Prepared tables, got {type(cache).__name__}")
+    if not hasattr(cache, "edges"):
+        raise TypeError(
+            "expected an open cache (svprep.open_cache(PATH)) or Prepared tables, got "
+            f"{type(cache).__name__}"
+        )
     search = _searches.get(cache)
     if search is None:
         search = _searches[cache] = _Search(cache)
@@ -232,7 +240,8 @@ def _checked_objects(objects: ArrayLike, n_objects: int) -> I64:
         return np.zeros(0, np.int64)
     if asked.ndim != 1 or asked.dtype.kind not in "iu":
         raise InputError(
-            f"objects are a list of whole numbers, not {asked.dtype} of shape {asked.shape}"
+            f"objects are a list of whole numbers, not {asked.dtype} of shape {asked.shape} "
+            "(the number of a name: cache.object_names.index(NAME))"
         )
     beyond = asked[(asked < 0) | (asked >= n_objects)]
     if len(beyond):

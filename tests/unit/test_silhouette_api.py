@@ -36,7 +36,7 @@ def three_objects() -> Prepared:
         side_by_side(
             cube(),
             moved(open_shell(), (3.0, 0.0, 0.0)),
-            moved(sphere(8, 16, 50.0), (100.0, 0.0, 0.0)),
+            moved(sphere(16, 32, 50.0), (100.0, 0.0, 0.0)),
         ),
         BuildConfig(),
     )
@@ -367,3 +367,21 @@ def test_a_cache_gives_what_was_prepared(method: str, tmp_path: Path) -> None:
 def test_methods_and_volumes_are_those_documented() -> None:
     assert METHODS == ("auto", "brute", "edge_buffer", "elimination", "flat", "cones", "hextree")
     assert VOLUMES == ("auto", "closed", "robust")
+
+
+def test_a_parsed_light_is_taken_into_the_cache_frame() -> None:
+    from svprep.light import parse_light
+
+    made = unit_cube()
+    spec = parse_light("dir:120,35")
+    named = silhouette(made, spec)
+    plain = silhouette(made, spec.in_cache_frame(made.mesh.grid))
+    assert np.array_equal(named.edge, plain.edge)
+    assert np.array_equal(named.light, plain.light)
+    with pytest.raises(InputError, match="parse_light"):
+        silhouette(made, "dir:120,35")
+
+
+def test_a_path_is_no_cache() -> None:
+    with pytest.raises(TypeError, match=r"svprep.open_cache\(PATH\)"):
+        silhouette("city.svp.h5", [0, 0, 1, 0])  # type: ignore[arg-type]
