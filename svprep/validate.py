@@ -203,18 +203,30 @@ def row_multiplicity(edges: EdgeTable, facing_of_face: I64) -> I64:
     return sides[:, 0] - sides[:, 1]
 
 
+def _facings(cache: Cache, what: str, step: Step) -> Iterator[tuple[F32, I64, I64]]:
+    """Yield each light of a deep check with the facing of faces, ``(n_faces,)``, twice.
+
+    First that of the robust volume; then that of the closed volume, where a face turned
+    away counts 0, for components that may take it.
+    """
+    mesh, components, planes = cache.mesh, cache.components, cache.planes
+    bounds = component_bounds(mesh, components)
+    component_of_face = np.repeat(np.arange(len(components.flags)), np.diff(components.face_start))
+    for i, light in enumerate(random_lights(mesh, components)):
+        step(what, i, N_LIGHTS)
+        side = facing(planes.planes, light).astype(np.int64)[planes.plane_of_face]
+        allowed = closed_volume_allowed(components, bounds, light)[component_of_face]
+        yield light, side, np.where(allowed, side > 0, side)
+
+
 def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     """Multiplicities against the plain twin, and both volumes closed, for each light."""
-    mesh, edges, components, planes = cache.mesh, cache.edges, cache.components, cache.planes
+    mesh, edges, components = cache.mesh, cache.edges, cache.components
     sums = EdgeSums(mesh.faces)
     edge_of_rows = sums.edge_of_rows(edges.rows)
-    bounds = component_bounds(mesh, components)
     balance = _VertexBalance(edges, components, len(mesh.positions))
-    component_of_face = np.repeat(np.arange(len(components.flags)), np.diff(components.face_start))
     problems: list[Problem] = []
-    for i, light in enumerate(random_lights(mesh, components)):
-        step("shadow volumes", i, N_LIGHTS)
-        side = facing(planes.planes, light).astype(np.int64)[planes.plane_of_face]
+    for light, side, closed_side in _facings(cache, "shadow volumes", step):
         by_rows = sums.of_rows(edges.rows, side, edge_of_rows)
         by_triangles = sums.of_triangles(side)
         wrong = np.flatnonzero(by_rows != by_triangles)
@@ -227,8 +239,6 @@ def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
                     f"edges {first_few(wrong)}",
                 )
             )
-        allowed = closed_volume_allowed(components, bounds, light)[component_of_face]
-        closed_side = np.where(allowed, side > 0, side)
         for name, chosen in (("robust", side), ("closed", closed_side)):
             open_at = balance.unbalanced(row_multiplicity(edges, chosen))
             if len(open_at):
@@ -249,16 +259,10 @@ def _check_volumes(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
 
 def _check_searches(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     """The bounds of the trees of cones; what searches find against all multiplicities."""
-    mesh, edges, components, planes = cache.mesh, cache.edges, cache.components, cache.planes
     arrays = {path: cache.raw(path) for path in CONE_NEEDS}
-    problems = cone_problems(Tables(arrays, {}, cache.grid.step_m, planes.tolerance_m))
-    bounds = component_bounds(mesh, components)
-    component_of_face = np.repeat(np.arange(len(components.flags)), np.diff(components.face_start))
-    for i, light in enumerate(random_lights(mesh, components)):
-        step("silhouettes", i, N_LIGHTS)
-        side = facing(planes.planes, light).astype(np.int64)[planes.plane_of_face]
-        allowed = closed_volume_allowed(components, bounds, light)[component_of_face]
-        m = row_multiplicity(edges, np.where(allowed, side > 0, side))
+    problems = cone_problems(Tables(arrays, {}, cache.grid.step_m, cache.planes.tolerance_m))
+    for light, _, closed_side in _facings(cache, "silhouettes", step):
+        m = row_multiplicity(cache.edges, closed_side)
         for method in SEARCHES:
             found = silhouette(cache, light, method)
             # Sums: a record that is found twice counts twice.

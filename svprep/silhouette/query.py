@@ -28,6 +28,9 @@ METHODS: Final[tuple[Method, ...]] = get_args(Method)
 Volume = Literal["auto", "closed", "robust"]
 VOLUMES: Final[tuple[Volume, ...]] = get_args(Volume)
 
+_FORCED_FLOOR = {"closed": 0, "robust": -1}
+"""`SearchTables.floor` of every plane record where a volume is forced."""
+
 _WALKS = {"brute": brute, "edge_buffer": edge_buffer, "elimination": elimination}
 """Methods that use no index and remove nothing in advance."""
 
@@ -199,9 +202,8 @@ class _Search:
         """Return the floor of each plane record for this light, and the solids excepted."""
         tables = self.tables
         none = np.zeros(0, np.int64)
-        if volume != "auto":
-            value = 0 if volume == "closed" else -1
-            return read_only(np.full(len(tables.floor), value, np.int8)), none
+        if volume in _FORCED_FLOOR:
+            return read_only(np.full(len(tables.floor), _FORCED_FLOOR[volume], np.int8)), none
         if light[3] == 0.0:
             return tables.floor, none
         around = tables.solids_around(light, objects)
@@ -218,9 +220,9 @@ class _Search:
     ) -> I8:
         if trees is None:
             return read_only(np.zeros(0, np.int8))
-        if volume != "auto":
-            value = 0 if volume == "closed" else -1
-            return read_only(np.full(len(trees.floor_of_tree), value, np.int8))
+        if volume in _FORCED_FLOOR:
+            n_trees = len(trees.floor_of_tree)
+            return read_only(np.full(n_trees, _FORCED_FLOOR[volume], np.int8))
         if not len(exceptions):
             return trees.floor_of_tree
         floors = trees.floor_of_tree.copy()

@@ -13,12 +13,14 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from svprep.errors import InputError
 from svprep.ingest import read
 from svprep.model import Mesh, Prepared, SourceMesh
 from svprep.pipeline import BuildConfig, prepare
 from svprep.repair.weld import weld
+from svprep.silhouette import index
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "data"
@@ -91,6 +93,13 @@ def build(path: Path) -> Built | str:
         return Built(source, weld(source)[0], prepare(source, BuildConfig()))
     except InputError as error:
         return str(error)
+
+
+def build_with_trees(path: Path, fewest_pairs: int) -> Prepared:
+    """Build a file anew, with silhouette trees for objects of `fewest_pairs` searched edges."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(index, "FEWEST_PAIRS", fewest_pairs)
+        return prepare(read([path]), BuildConfig())
 
 
 def thin(n: int, limit: int, seed: int = 0) -> np.ndarray:

@@ -11,21 +11,14 @@ import pytest
 
 from svprep.errors import CacheError
 from svprep.model import NO_INDEX, Prepared
-from svprep.silhouette import METHODS, index, silhouette
-from tests.dataset.datasets import DATA, build
+from svprep.silhouette import METHODS, silhouette
+from tests.dataset.datasets import DATA, build_with_trees
 
 
 @pytest.fixture(scope="module")
 def city() -> Prepared:
     """Return the sample city with trees for many objects."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr(index, "FEWEST_PAIRS", 30)
-    build.cache_clear()
-    built = build(DATA / "small_city.obj.gz")
-    build.cache_clear()
-    patch.undo()
-    assert not isinstance(built, str)
-    return built.prepared
+    return build_with_trees(DATA / "small_city.obj.gz", 30)
 
 
 def changed(city: Prepared, path: str, change: Callable[[np.ndarray], Any]) -> Prepared:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from svprep.model import EdgeFlag, Prepared
-from svprep.silhouette import METHODS, Silhouette, index, scan, silhouette
-from tests.dataset.datasets import DATA, build
+from svprep.silhouette import METHODS, Silhouette, scan, silhouette
+from tests.dataset.datasets import DATA, build_with_trees
 
 ROOT = Path(__file__).resolve().parents[2]
 LIGHTS = (
@@ -27,15 +27,9 @@ LIGHTS = (
 @pytest.fixture(scope="module")
 def city() -> Prepared:
     """Return the sample city with trees for objects of ten searched edges."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr(index, "FEWEST_PAIRS", 10)
-    build.cache_clear()
-    built = build(DATA / "small_city.obj.gz")
-    build.cache_clear()
-    patch.undo()
-    assert not isinstance(built, str)
-    assert len(built.prepared.index.objects) > 200
-    return built.prepared
+    prepared = build_with_trees(DATA / "small_city.obj.gz", 10)
+    assert len(prepared.index.objects) > 200
+    return prepared
 
 
 @pytest.fixture(autouse=True)
