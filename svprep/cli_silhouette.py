@@ -14,7 +14,7 @@ import typer
 
 from svprep.cache.reader import Cache, open_cache
 from svprep.errors import InputError
-from svprep.light import FORMS, Light, parse_light
+from svprep.light import FORMS, Light, Site, is_arc, is_sun, parse_light
 from svprep.silhouette import METHODS, VOLUMES, Silhouette, silhouette
 from svprep.silhouette.lines import (
     LINE_SUFFIXES,
@@ -36,7 +36,7 @@ class Query:
     """The options of one call, each already known to be of its kind."""
 
     cache: Path
-    light: Light
+    light_spec: str
     method: Method
     volume: Volume
     object_names: tuple[str, ...]
@@ -57,9 +57,9 @@ def query_of(
     Raises
     ------
     typer.BadParameter
-        A usage error: no light or several, an unknown method, volume or suffix.
+        A usage error: no light or several, an arc, an unknown method, volume or suffix.
     InputError
-        The light is not one.
+        The light is not one. The sun is looked at later: it may need the cache's CRS.
     """
     if not lights:
         raise typer.BadParameter(f"name the light with --light SPEC: {FORMS}")
@@ -69,8 +69,14 @@ def query_of(
         raise typer.BadParameter(f"{output}: lines are written as .ply, .obj or .npz; name it so")
     known_method = _one_of("--method", method, METHODS)
     known_volume = _one_of("--volume", volume, VOLUMES)
-    light = parse_light(lights[0])
-    return Query(cache, light, known_method, known_volume, tuple(object_names), output)
+    if is_arc(lights[0]):
+        raise typer.BadParameter(
+            f'a silhouette is of one light, and "{lights[0]}" is an arc of the sun; one moment of '
+            "it is written sun:LAT,LON,2026-03-20T12:00[Europe/Vienna]"
+        )
+    if not is_sun(lights[0]):
+        parse_light(lights[0])
+    return Query(cache, lights[0], known_method, known_volume, tuple(object_names), output)
 
 
 def _one_of(option: str, given: str, known: tuple[_Name, ...]) -> _Name:
@@ -95,7 +101,9 @@ def answer(query: Query) -> dict[str, Any]:
     with open_cache(query.cache) as cache:
         if query.output is not None:
             check_lines_path(query.output, [s.path for s in cache.sources])
-        light = query.light.in_cache_frame(cache.grid)
+        x_m, y_m, _ = cache.grid.origin_m.tolist()
+        named = parse_light(query.light_spec, Site(cache.crs, x_m, y_m))
+        light = named.in_cache_frame(cache.grid)
         objects = objects_named(cache, query.object_names) if query.object_names else None
         # Tables are read, what is derived from them is made, and compiled code is loaded
         # at the first query: the second one takes the time of a silhouette.
@@ -103,7 +111,7 @@ def answer(query: Query) -> dict[str, Any]:
         loaded = time.perf_counter()
         found = silhouette(cache, light, query.method, volume=query.volume, objects=objects)
         asked = time.perf_counter()
-        summary = _summary(query, cache, found)
+        summary = _summary(query, named, cache, found)
         if query.output is not None:
             lines = silhouette_lines(found, cache)
             write_lines(lines, query.output)
@@ -139,8 +147,7 @@ def objects_named(cache: Cache, names: tuple[str, ...]) -> I64:
     return np.flatnonzero([name in wanted for name in known])
 
 
-def _summary(query: Query, cache: Cache, found: Silhouette) -> dict[str, Any]:
-    light = query.light
+def _summary(query: Query, light: Light, cache: Cache, found: Silhouette) -> dict[str, Any]:
     at = found.light[:3].astype(np.float64)
     size = np.abs(found.multiplicity.astype(np.int64))
     summary: dict[str, Any] = {

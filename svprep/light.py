@@ -1,7 +1,9 @@
 """A light as the user names it, and as every other part of svprep takes it.
 
-dir:AZIMUTH,ALTITUDE    a direction, like the sun's   degrees
-point:X,Y,Z             a lamp                        input coordinates [m]
+dir:AZIMUTH,ALTITUDE    a direction                     degrees, on the model's grid
+point:X,Y,Z             a lamp                          input coordinates [m]
+sun:LAT,LON,TIME        the sun, at a place and time    degrees north and east
+sun:LAT,LON,DATE/BEGIN/END/STEP[ZONE]    an arc of the sun: one light per step by day
 
 altitude 90 is the zenith        north 0 (+y)
          |   / light               |   / azimuth, clockwise
@@ -14,27 +16,37 @@ altitude 90 is the zenith        north 0 (+y)
 from __future__ import annotations
 
 import math
-import re
-from dataclasses import dataclass
-from typing import Final, NoReturn
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
+from svprep.arc import Arc, parse_arc, sun_moment
 from svprep.errors import InputError
+from svprep.light_spec import FORMS, is_arc, is_sun, moment_text, numbers, refuse
 from svprep.model import F32, Grid
+from svprep.sun import Site, SunMoment, grid_azimuth_deg
 
-FORMS: Final = (
-    "dir:AZIMUTH,ALTITUDE (degrees; clockwise from north, above the horizon) or "
-    "point:X,Y,Z (metres, input coordinates)"
-)
-"""The forms of SPEC that `parse_light` understands, for messages and help."""
+__all__ = [
+    "FARTHEST_M",
+    "FORMS",
+    "Arc",
+    "Light",
+    "Site",
+    "SunMoment",
+    "directional",
+    "is_arc",
+    "is_sun",
+    "parse_arc",
+    "parse_light",
+    "parse_lights",
+    "sunlight",
+]
 
 FARTHEST_M: Final = 2.0**40
 """[m]: a point light this far from the model (seven times as far as the sun) is an error;
 the squares of greater distances soon leave float32, in which shaders compute."""
-
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_NOT_FINITE = re.compile(r"[+-]?(inf|infinity|nan)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +63,8 @@ class Light:
     """w = 1: [m], where the light is. w = 0: the unit vector towards the light."""
     w: float
     """1.0 for a point light, 0.0 for a directional one."""
+    sun: SunMoment | None = None
+    """Where and when the sun stands there, if it is the sun."""
 
     def in_cache_frame(self, grid: Grid) -> F32:
         """Return ``(4,) float32``: the light that every query, shader and judge uses.
@@ -84,7 +98,7 @@ class Light:
         return np.array([*at, self.w], np.float32)
 
 
-def parse_light(spec: str) -> Light:
+def parse_light(spec: str, site: Site | None = None) -> Light:
     """Return the light that `spec` names.
 
     Parameters
@@ -93,33 +107,56 @@ def parse_light(spec: str) -> Light:
         ``dir:AZIMUTH,ALTITUDE`` in degrees: azimuth clockwise from grid north (+y;
         east is +x), any finite number; altitude above the horizon, -90 to 90.
         ``point:X,Y,Z`` in input coordinates [m].
+        ``sun:LAT,LON,2026-06-21T12:00+02:00``: see `svprep.arc.sun_moment`.
+    site : Site, optional
+        Where the model stands. With a CRS it turns the sun's azimuth from true north to
+        the grid's, and is the place of a sun that is written without LAT,LON.
 
     Raises
     ------
     InputError
         Anything else: quotes the spec, says what is wrong with which number, and
-        shows the forms.
+        shows the forms. An arc, a sun that is not above the horizon, a CRS of `site` that
+        does not tell true north.
+    EnvironmentProblem
+        For the sun: pvlib is missing, or, if the site has a CRS, pyproj.
     """
     kind, _, rest = spec.partition(":")
     match kind.strip().lower():
         case "dir":
-            azimuth_deg, altitude_deg = _numbers(spec, rest, ("AZIMUTH", "ALTITUDE"))
+            azimuth_deg, altitude_deg = numbers(spec, rest, ("AZIMUTH", "ALTITUDE"), FORMS)
             if not -90.0 <= altitude_deg <= 90.0:
                 swapped = -90.0 <= azimuth_deg <= 90.0
                 hint = f" (AZIMUTH comes first: dir:{altitude_deg:g},{azimuth_deg:g}?)"
-                _refuse(
+                refuse(
                     spec,
                     f"ALTITUDE {altitude_deg:g} is not between -90 and 90 degrees"
                     + (hint if swapped else ""),
+                    FORMS,
                 )
             return directional(azimuth_deg, altitude_deg, spec)
         case "point":
-            x, y, z = _numbers(spec, rest, ("X", "Y", "Z"))
+            x, y, z = numbers(spec, rest, ("X", "Y", "Z"), FORMS)
             shown = ", ".join(repr(value).removesuffix(".0") for value in (x, y, z))
             return Light(spec, f"point ({shown})", x, y, z, 1.0)
         case "sun":
-            _refuse(spec, "the sun at a place and time is not understood yet")
-    _refuse(spec, "it begins with neither dir: nor point:")
+            return sunlight(sun_moment(spec, site), spec)
+    refuse(spec, "it begins with none of dir:, point: and sun:", FORMS)
+
+
+def parse_lights(specs: Sequence[str], site: Site | None = None) -> list[Light]:
+    """Return the lights that `specs` name, in their order, each arc one light per step by day.
+
+    A light that is named twice is there twice. Raises what `parse_light` and
+    `svprep.arc.parse_arc` raise.
+    """
+    lights: list[Light] = []
+    for spec in specs:
+        if is_arc(spec):
+            lights += parse_arc(spec, site).lights
+        else:
+            lights.append(parse_light(spec, site))
+    return lights
 
 
 def directional(azimuth_deg: float, altitude_deg: float, spec: str = "") -> Light:
@@ -145,6 +182,31 @@ def directional(azimuth_deg: float, altitude_deg: float, spec: str = "") -> Ligh
     )
 
 
+def sunlight(sun: SunMoment, spec: str = "") -> Light:
+    """Return the sun's direction on the model's grid.
+
+    `spec`, if there is none, is one from which `parse_light` makes exactly this light,
+    given the same site.
+    """
+    place = f"{sun.latitude_deg:.10g}, {sun.longitude_deg:.10g}"
+    grid_azimuth = grid_azimuth_deg(sun.azimuth_deg, sun.convergence_deg)
+    on_grid = "" if sun.convergence_deg is None else f" ({_two_decimals(grid_azimuth)} on the grid)"
+    if not spec:
+        lat, lon = (repr(x).removesuffix(".0") for x in (sun.latitude_deg, sun.longitude_deg))
+        spec = f"sun:{lat},{lon},{''.join(moment_text(sun.time, 'T'))}"
+    return replace(
+        directional(grid_azimuth, sun.altitude_deg, spec),
+        words=f"sun at {place} on {' '.join(moment_text(sun.time, ' '))}, "
+        f"azimuth {_two_decimals(sun.azimuth_deg)}{on_grid}, altitude {sun.altitude_deg:.2f}",
+        sun=sun,
+    )
+
+
+def _two_decimals(azimuth_deg: float) -> str:
+    shown = f"{azimuth_deg % 360.0:.2f}"
+    return "0.00" if shown == "360.00" else shown
+
+
 def _sin_cos_deg(angle_deg: float) -> tuple[float, float]:
     """Return sine and cosine of degrees, exact at multiples of 90."""
     within_turn = math.remainder(angle_deg, 360.0)  # exact, as is the next subtraction
@@ -152,33 +214,3 @@ def _sin_cos_deg(angle_deg: float) -> tuple[float, float]:
     rest = math.radians(within_turn - 90.0 * quarter)
     sin, cos = math.sin(rest), math.cos(rest)
     return ((sin, cos), (cos, -sin), (-sin, -cos), (-cos, sin))[quarter % 4]
-
-
-def _numbers(spec: str, text: str, names: tuple[str, ...]) -> list[float]:
-    """Return the finite numbers of `text`, one for each of `names`."""
-    parts = [part.strip() for part in text.split(",")] if text.strip() else []
-    if len(parts) < len(names):
-        _refuse(spec, f"{names[len(parts)]} is missing")
-    if len(parts) > len(names):
-        _refuse(
-            spec,
-            f"{len(parts)} numbers instead of {len(names)} "
-            "(a comma parts numbers, decimals take a point)",
-        )
-    values = []
-    for name, part in zip(names, parts, strict=True):
-        if not part:
-            _refuse(spec, f"{name} is missing")
-        is_number = _NUMBER.fullmatch(part) is not None
-        if not is_number and not _NOT_FINITE.fullmatch(part):
-            _refuse(spec, f'{name} is "{part}", which is not a number')
-        value = float(part)
-        if not math.isfinite(value):
-            why = "too large for a number" if is_number else "not a finite number"
-            _refuse(spec, f'{name} is "{part}", which is {why}')
-        values.append(value + 0.0)
-    return values
-
-
-def _refuse(spec: str, problem: str) -> NoReturn:
-    raise InputError(f'light "{spec}": {problem}. A light is {FORMS}')

@@ -193,7 +193,12 @@ def test_lines_are_written_and_told(
         (["gone.svp.h5", *SUN, "-o", "a.ply/"], 2, ".ply, .obj or .npz"),
         (["gone.svp.h5", "--light", "dir:135"], 1, "ALTITUDE is missing"),
         (["gone.svp.h5", "--light", ""], 1, FORMS),
-        (["gone.svp.h5", "--light", "sun:48,16,2026-06-21T12:00Z"], 1, "not understood yet"),
+        (["gone.svp.h5", "--light", "sun:48,16,2026-06-21T12:00Z"], 1, "gone.svp.h5"),
+        (
+            ["gone.svp.h5", "--light", "sun:48,16,2026-06-21/06:00/18:00/1h[UTC]"],
+            2,
+            "one light",
+        ),
         (["gone.svp.h5", "--light", "dir:\x1b[1,2"], 1, "\\x1b"),
         (["gone.svp.h5", *SUN, "-o", "no/a.ply"], 1, 'no folder "'),
         (["gone.svp.h5", *SUN], 1, "gone.svp.h5"),

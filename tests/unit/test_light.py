@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 from svprep.errors import InputError
-from svprep.light import FARTHEST_M, FORMS, Light, directional, parse_light
+from svprep.light import (
+    FARTHEST_M,
+    FORMS,
+    Light,
+    Site,
+    directional,
+    parse_arc,
+    parse_light,
+    parse_lights,
+    sunlight,
+)
 from svprep.model import Grid
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,9 +92,9 @@ def test_a_point_too_far_away_is_a_direction() -> None:
 @pytest.mark.parametrize(
     ("spec", "says"),
     [
-        ("", "neither dir: nor point:"),
-        ("135,40", "neither dir: nor point:"),
-        ("lamp:1,2,3", "neither dir: nor point:"),
+        ("", "none of dir:, point: and sun:"),
+        ("135,40", "none of dir:, point: and sun:"),
+        ("lamp:1,2,3", "none of dir:, point: and sun:"),
         ("dir", "AZIMUTH is missing"),
         ("dir:", "AZIMUTH is missing"),
         ("dir:,40", "AZIMUTH is missing"),
@@ -104,8 +114,6 @@ def test_a_point_too_far_away_is_a_direction() -> None:
         ("dir:135,nan", 'ALTITUDE is "nan", which is not a finite number'),
         ("point:0,-Infinity,0", 'Y is "-Infinity", which is not a finite number'),
         ("point:0,0,1e999", 'Z is "1e999", which is too large'),
-        ("sun:48.2,16.4,2026-06-21T12:00+02:00", "the sun at a place and time is not"),
-        ("sun:", "the sun at a place and time is not"),
     ],
 )
 def test_a_bad_spec_is_quoted_explained_and_answered_with_the_forms(spec: str, says: str) -> None:
@@ -136,9 +144,62 @@ def test_a_light_is_a_value() -> None:
     assert "__slots__" in vars(Light)
 
 
-def test_the_module_loads_without_numba() -> None:
+def test_the_sun_is_one_light_in_the_directions_frame() -> None:
+    light = parse_light("sun:48.2,16.37,2026-06-21T12:00+02:00")
+    assert light.sun is not None
+    as_angles = directional(light.sun.azimuth_deg, light.sun.altitude_deg)
+    assert (light.x, light.y, light.z, light.w) == (as_angles.x, as_angles.y, as_angles.z, 0.0)
+    assert light.spec == "sun:48.2,16.37,2026-06-21T12:00+02:00"
+    assert light.words == (
+        "sun at 48.2, 16.37 on 2026-06-21 12:00 +02:00, azimuth 150.73, altitude 62.84"
+    )
+    assert sunlight(light.sun) == light
+    assert hash(light) == hash(parse_light(light.spec))
+    assert parse_light("dir:135,40").sun is None
+    assert parse_light("point:1,2,3").sun is None
+
+
+def test_the_sun_on_a_grid_is_turned_by_the_convergence() -> None:
+    site = Site("EPSG:32633", 700_000.0, 5_800_000.0)
+    spec = "sun:52.3,17.9,2026-06-21T12:00+02:00"
+    true, on_grid = parse_light(spec), parse_light(spec, site)
+    assert true.sun is not None
+    assert on_grid.sun is not None
+    gamma = on_grid.sun.convergence_deg
+    assert gamma is not None
+    assert gamma > 2.0
+    assert (true.sun.convergence_deg, true.z) == (None, on_grid.z)
+    assert on_grid.sun.azimuth_deg == true.sun.azimuth_deg
+    bearing = math.degrees(math.atan2(on_grid.x, on_grid.y)) % 360
+    assert bearing == pytest.approx(true.sun.azimuth_deg - gamma, abs=1e-9)
+    assert f"azimuth {true.sun.azimuth_deg:.2f} ({bearing:.2f} on the grid)" in on_grid.words
+    # Lights of other kinds are on the grid already.
+    assert parse_light("dir:135,40", site) == parse_light("dir:135,40")
+    assert parse_light("dir:135,40", Site("nonsense", 0.0, 0.0)) == parse_light("dir:135,40")
+
+
+def test_specs_become_lights_in_their_order() -> None:
+    arc = "sun:48.2,16.37,2026-03-20/06:00/18:00/15m[Europe/Vienna]"
+    lights = parse_lights(["dir:135,40", arc, "point:1,2,3", "dir:135,40"])
+    assert len(lights) == 1 + 48 + 2
+    assert lights[0] == lights[-1] == parse_light("dir:135,40")
+    assert tuple(lights[1:-2]) == parse_arc(arc).lights
+    assert parse_lights([]) == []
+    with pytest.raises(InputError, match="STEP"):
+        parse_lights(["dir:135,40", "sun:48,16,2026-03-20/06:00"])
+
+
+def test_the_forms_name_every_kind() -> None:
+    for form in ("dir:AZIMUTH,ALTITUDE", "point:X,Y,Z", "sun:LAT,LON,2026-06-21T12:00+02:00"):
+        assert form in FORMS
+    assert "sun:LAT,LON,2026-03-20/06:00/18:00/15m[Europe/Vienna]" in FORMS
+    assert "\n" not in FORMS
+
+
+def test_the_module_loads_without_heavy_packages() -> None:
     code = (
-        "import sys, svprep.light; heavy = ('numba', 'scipy', 'h5py'); "
+        "import sys, svprep.light; "
+        "heavy = ('numba', 'scipy', 'h5py', 'pvlib', 'pandas', 'pyproj', 'zoneinfo', 'tzdata'); "
         "print([m for m in heavy if m in sys.modules])"
     )
     done = subprocess.run(
