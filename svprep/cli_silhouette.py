@@ -16,13 +16,7 @@ from svprep.cache.reader import Cache, open_cache
 from svprep.errors import InputError
 from svprep.light import FORMS, Light, Site, is_arc, is_sun, parse_light
 from svprep.silhouette import METHODS, VOLUMES, Silhouette, silhouette
-from svprep.silhouette.lines import (
-    LINE_SUFFIXES,
-    check_lines_path,
-    line_suffix,
-    silhouette_lines,
-    write_lines,
-)
+from svprep.silhouette.lines import LINES, silhouette_lines, write_lines
 
 if TYPE_CHECKING:
     from svprep.model import I64
@@ -65,7 +59,7 @@ def query_of(
         raise typer.BadParameter(f"name the light with --light SPEC: {FORMS}")
     if len(lights) > 1:
         raise typer.BadParameter(f"a silhouette is of one light; {len(lights)} --light were given")
-    if output is not None and line_suffix(output) not in LINE_SUFFIXES:
+    if output is not None and not LINES.has_suffix(output):
         raise typer.BadParameter(f"{output}: lines are written as .ply, .obj or .npz; name it so")
     known_method = _one_of("--method", method, METHODS)
     known_volume = _one_of("--volume", volume, VOLUMES)
@@ -96,11 +90,11 @@ def answer(query: Query) -> dict[str, Any]:
         cannot be written (told before the tables are loaded).
     """
     if query.output is not None:
-        check_lines_path(query.output, [query.cache])
+        LINES.checked_path(query.output, [query.cache])
     started = time.perf_counter()
     with open_cache(query.cache) as cache:
         if query.output is not None:
-            check_lines_path(query.output, [s.path for s in cache.sources])
+            LINES.checked_path(query.output, [s.path for s in cache.sources])
         x_m, y_m, _ = cache.grid.origin_m.tolist()
         named = parse_light(query.light_spec, Site(cache.crs, x_m, y_m))
         light = named.in_cache_frame(cache.grid)

@@ -9,16 +9,13 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from svprep.defects import DEFECTS, Code
-from svprep.errors import EnvironmentProblem, InputError
 from svprep.model import (
     I64,
     NO_INDEX,
@@ -30,63 +27,28 @@ from svprep.model import (
     Prepared,
     SilhouetteIndex,
 )
+from svprep.output_file import OutputKind, suffix_of, write_whole
 from svprep.repair.winding import opposite_faces
-
-REPORT_SUFFIXES = (".json", ".csv")
-
 
 FACES_IN_CSV = 1000
 """A CSV cell lists at most so many source faces: spreadsheets cut longer ones. JSON has all."""
 
 
-def check_report_path(path: Path, others: Sequence[str | PathLike[str]] = ()) -> None:
-    """Raise unless a report can be written to `path` without harming one of `others`.
-
-    Raises
-    ------
-    InputError
-        Another suffix than .json or .csv, or the name of an input or of the cache.
-    EnvironmentProblem
-        There is no such folder.
-    """
-    if path.suffix.lower() not in REPORT_SUFFIXES:
-        raise InputError(f"{path}: a report is .json or .csv; name it so")
-    if not path.resolve().parent.is_dir():
-        raise EnvironmentProblem(f'{path}: there is no folder "{path.parent}" for the report')
-    for other in map(Path, others):
-        if path.resolve() == other.resolve() or (
-            path.exists() and other.exists() and path.samefile(other)
-        ):
-            raise InputError(f"{path} is an input or the cache itself; name the report otherwise")
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path} is not a regular file; name the report otherwise")
-    if path.exists() and path.stat().st_size and not _is_report(path):
-        raise InputError(
-            f"{path} exists and is not a report of svprep, so it is not overwritten. "
-            f"Choose another name, or remove it first"
-        )
+REPORT: Final = OutputKind(
+    name="the report",
+    form="a report is .json or .csv",
+    what="is not a report of svprep",
+    suffixes=(".json", ".csv"),
+    is_ours=lambda head: head.startswith((b"object_index,object,source,", b'{\n "sources": [')),
+    option="--report",
+)
 
 
-def _is_report(path: Path) -> bool:
-    """Whether a file begins as a report does."""
-    with path.open("rb") as file:
-        head = file.read(64)
-    return head.startswith((b"object_index,object,source,", b'{\n "sources": ['))
-
-
-def write_report(prepared: Prepared, path: Path) -> None:
+def write_report(prepared: Prepared, path: str | PathLike[str]) -> None:
     """Write the per-object report as JSON or CSV, by the suffix of `path`."""
-    check_report_path(path)
-    text = to_json(prepared) if path.suffix.lower() == ".json" else to_csv(prepared)
-    whole = path.with_name(f".{path.name}.tmp-{os.getpid()}")
-    try:
-        whole.write_text(text, encoding="utf-8", errors="surrogateescape")
-        whole.replace(path)
-    except OSError as error:
-        whole.unlink(missing_ok=True)
-        raise EnvironmentProblem(
-            f"{path}: the report cannot be written: {error.strerror}. The cache was written"
-        ) from error
+    target = REPORT.checked_path(path)
+    text = to_json(prepared) if suffix_of(path) == ".json" else to_csv(prepared)
+    write_whole(target, [text.encode("utf-8", "surrogateescape")])
 
 
 def left_out_faces(prepared: Prepared) -> I64:

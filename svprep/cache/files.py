@@ -31,33 +31,33 @@ HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 LOCK_POLL_S = 0.05
 
 
-def problem_of(error: OSError, target: Path) -> EnvironmentProblem:
-    """Return the one line that says why `target` could not be written."""
+def problem_of(error: OSError, target: Path, option: str = "-o") -> EnvironmentProblem:
+    """Return the one line that says why `target`, named by `option`, could not be written."""
     reason = os.strerror(error.errno) if error.errno else " ".join(str(error).split())
-    elsewhere = "Choose another place with -o"
+    elsewhere = f"Choose another place with {option}"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        what = f"the disk is full ({reason}). Free some space or choose another place with -o"
+        what = f"the disk is full ({reason}). Free some space or choose another place with {option}"
     elif error.errno == errno.EFBIG:
         what = f"the file size limit is too small ({reason}). Raise it: ulimit -f unlimited"
     elif error.errno in (errno.ENOENT, errno.ENOTDIR):
-        what = _folder_problem(target.parent)
+        what = _folder_problem(target.parent, option)
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         what = f'no files can be made in the folder "{target.parent}" ({reason}). {elsewhere}'
     elif error.errno == errno.ENAMETOOLONG:
-        what = "the name is too long. Choose a shorter one with -o"
+        what = f"the name is too long. Choose a shorter one with {option}"
     else:
         what = f"{reason}. {elsewhere}"
     return EnvironmentProblem(f"{target} cannot be written: {what}. Nothing was changed.")
 
 
-def _folder_problem(folder: Path) -> str:
+def _folder_problem(folder: Path, option: str) -> str:
     """Return why a file in `folder` could not be made, when the system says "no such file"."""
     if folder.is_dir():
-        return f'the folder "{folder}" takes no new files. Choose another place with -o'
+        return f'the folder "{folder}" takes no new files. Choose another place with {option}'
     for parent in (*reversed(folder.parents), folder):
         if parent.exists() and not parent.is_dir():
-            return f'"{parent}" is a file, not a folder. Choose another place with -o'
-    return f'there is no folder "{folder}". Create it or choose another with -o'
+            return f'"{parent}" is a file, not a folder. Choose another place with {option}'
+    return f'there is no folder "{folder}". Create it or choose another with {option}'
 
 
 def resolve_target(path: str | os.PathLike[str]) -> Path:

@@ -15,22 +15,20 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from svprep.cache.files import Temporary, problem_of
-from svprep.errors import InputError
 from svprep.model import F64, I8, I64, U32, Prepared
+from svprep.output_file import OutputKind, suffix_of, write_whole
 from svprep.silhouette.result import Silhouette
 
 if TYPE_CHECKING:
     from svprep.cache.reader import Cache
 
-LINE_SUFFIXES: Final = (".ply", ".obj", ".npz")
 
 _TITLE = "svprep silhouette 1"
 _HEADS = (
@@ -98,66 +96,20 @@ def silhouette_lines(found: Silhouette, cache: Cache | Prepared) -> Lines:
     )
 
 
-def check_lines_path(
-    path: str | os.PathLike[str], others: Sequence[str | os.PathLike[str]] = ()
-) -> Path:
-    """Return the file that `path` names, links followed, if lines can be written there.
-
-    Told before any work, not after it.
-
-    Parameters
-    ----------
-    path : path-like
-        The text that the user gave: a `Path` has lost the slash that names a folder.
-    others : sequence of path-like
-        The cache and its sources, which must not be harmed; they need not exist.
-
-    Raises
-    ------
-    InputError
-        Another suffix than `LINE_SUFFIXES`, one of `others`, or a file that is not
-        a silhouette of ours.
-    EnvironmentProblem
-        The folder is missing or takes no new files.
-    """
-    given = os.fspath(path)
-    if line_suffix(given) not in LINE_SUFFIXES:
-        raise InputError(f"{given}: lines are written as .ply, .obj or .npz; name the file so")
-    target = Path(os.path.realpath(given))
-    try:
-        for other in map(Path, others):
-            if target == Path(os.path.realpath(other)) or (
-                target.exists() and other.exists() and target.samefile(other)
-            ):
-                raise InputError(
-                    f"{given} is the cache or a model it was built from; name the lines otherwise"
-                )
-        if target.exists() and not target.is_file():
-            raise InputError(f"{given} is not a regular file; name the lines otherwise")
-        if target.exists() and target.stat().st_size and not _is_ours(target):
-            raise InputError(
-                f"{given} exists and is not a silhouette of svprep, so it is not overwritten. "
-                "Choose another name with -o, or remove it first"
-            )
-        with Temporary(target):
-            pass
-    except OSError as error:
-        raise problem_of(error, target) from error
-    return target
-
-
-def line_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the suffix in lower case, ``""`` where `path` names a folder by a slash."""
-    return os.path.splitext(os.fspath(path))[1].lower()
-
-
-def _is_ours(path: Path) -> bool:
+def _is_ours(head: bytes) -> bool:
     """Whether a file begins as one that `write_lines` made."""
-    with path.open("rb") as file:
-        head = file.read(128)
     return head.startswith(_HEADS) or (
         head.startswith(b"PK\x03\x04") and head[_ZIP_NAME_AT:].startswith(_FIRST_IN_ZIP)
     )
+
+
+LINES: Final = OutputKind(
+    name="the lines",
+    form="lines are written as .ply, .obj or .npz",
+    what="is not a silhouette of svprep",
+    suffixes=(".ply", ".obj", ".npz"),
+    is_ours=_is_ours,
+)
 
 
 def write_lines(lines: Lines, path: str | os.PathLike[str]) -> Path:
@@ -170,18 +122,10 @@ def write_lines(lines: Lines, path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     InputError, EnvironmentProblem
-        As `check_lines_path`, or the disk is full.
+        As `OutputKind.checked_path`, or the disk is full.
     """
-    target = check_lines_path(path)
-    parts = {".ply": _ply, ".obj": _obj, ".npz": _npz}[line_suffix(path)](lines)
-    try:
-        with Temporary(target) as file:
-            for part in parts:
-                file.write(memoryview(part))
-            file.sync()
-            file.rename()
-    except OSError as error:
-        raise problem_of(error, target) from error
+    target = LINES.checked_path(path)
+    write_whole(target, {".ply": _ply, ".obj": _obj, ".npz": _npz}[suffix_of(path)](lines))
     return target
 
 

@@ -18,9 +18,8 @@ from svprep.model import Prepared
 from svprep.pipeline import BuildConfig, prepare
 from svprep.silhouette import Silhouette, silhouette
 from svprep.silhouette.lines import (
-    LINE_SUFFIXES,
+    LINES,
     Lines,
-    check_lines_path,
     silhouette_lines,
     write_lines,
 )
@@ -133,7 +132,7 @@ def test_a_point_light_is_told_in_source_coordinates(tmp_path: Path) -> None:
 def test_every_format_says_the_same(city: Prepared, tmp_path: Path) -> None:
     lines = lines_of(city, "dir:135,40")
     assert len(lines.edge) > 10_000
-    for suffix in LINE_SUFFIXES:
+    for suffix in LINES.suffixes:
         assert write_lines(lines, tmp_path / f"a{suffix}") == tmp_path / f"a{suffix}"
     expected = lines.positions[lines.vertices]
 
@@ -185,7 +184,7 @@ def test_only_the_objects_that_were_asked_for(city: Prepared, tmp_path: Path) ->
     )
 
 
-@pytest.mark.parametrize("suffix", LINE_SUFFIXES)
+@pytest.mark.parametrize("suffix", LINES.suffixes)
 def test_a_silhouette_of_nothing_is_a_file_of_no_lines(
     city: Prepared, tmp_path: Path, suffix: str
 ) -> None:
@@ -199,7 +198,7 @@ def test_a_silhouette_of_nothing_is_a_file_of_no_lines(
         assert np.load(path)["vertices"].shape == (0, 2)
 
 
-@pytest.mark.parametrize("suffix", LINE_SUFFIXES)
+@pytest.mark.parametrize("suffix", LINES.suffixes)
 def test_the_same_lines_give_the_same_bytes(city: Prepared, tmp_path: Path, suffix: str) -> None:
     lines = lines_of(city, "dir:135,40")
     path = write_lines(lines, tmp_path / f"a{suffix}")
@@ -250,8 +249,8 @@ def foreign(path: Path) -> None:
         ("a.ply", foreign, InputError, "not a silhouette of svprep"),
         ("a.obj", foreign, InputError, "not a silhouette of svprep"),
         ("a.npz", lambda path: np.savez(path, x=1), InputError, "not a silhouette of svprep"),
-        ("city.obj", None, InputError, "the cache or a model"),
-        ("link.obj", lambda p: p.symlink_to("city.obj"), InputError, "the cache or a model"),
+        ("city.obj", None, InputError, "an input"),
+        ("link.obj", lambda p: p.symlink_to("city.obj"), InputError, "an input"),
     ],
 )
 def test_what_must_not_be_written_over(
@@ -262,7 +261,7 @@ def test_what_must_not_be_written_over(
         make(tmp_path / name)
     before = sorted(os.listdir(tmp_path))
     with pytest.raises(error) as refused:
-        check_lines_path(f"{tmp_path}/{name}", [tmp_path / "city.obj", "gone.h5"])
+        LINES.checked_path(f"{tmp_path}/{name}", [tmp_path / "city.obj", "gone.h5"])
     assert says in str(refused.value)
     assert sorted(os.listdir(tmp_path)) == before
 
