@@ -46,6 +46,34 @@ JsonOption = Annotated[
 ]
 
 
+LIGHT_HELP = (
+    "dir:AZIMUTH,ALTITUDE in degrees, clockwise from north and above the horizon; point:X,Y,Z in "
+    "input coordinates; sun:LAT,LON,2026-06-21T12:00+02:00"
+)
+LightsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="SPEC",
+        help=f"Clamp the shadows of a light: {LIGHT_HELP}; or an arc, a light per step by day: "
+        "sun:LAT,LON,2026-03-20/06:00/18:00/15m[Europe/Vienna]. May be repeated.",
+    ),
+]
+CostVertexOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        help="What drawing a vertex costs, for clamping: a gap is left where that of two more "
+        "caps is less than that of the sides across it (V < R). Default 4.",
+    ),
+]
+CostAreaOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X", help="What drawing a square metre of side or cap costs. Default 1; 0: no gaps."
+    ),
+]
+
+
 @app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
@@ -77,6 +105,9 @@ def build(
         float,
         typer.Option(metavar="M", help="Pull vertices of an object within M metres together."),
     ] = 0.0,
+    light: LightsOption = None,
+    cost_vertex: CostVertexOption = None,
+    cost_area: CostAreaOption = None,
     report: Annotated[
         Path | None,
         typer.Option(
@@ -86,23 +117,26 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Read model files, repair them and write the cache."""
-    from svprep import pipeline
-    from svprep.report import REPORT_SUFFIXES, check_report_path, write_report
+    from svprep import cli_clamp, pipeline
+    from svprep.report import REPORT, write_report
     from svprep.warm import second_compiler
 
     if not 0.0 <= weld_tolerance < float("inf"):
         raise typer.BadParameter("--weld-tolerance is a distance in metres, 0 or more")
     if report is not None:
-        if report.suffix.lower() not in REPORT_SUFFIXES:
+        if not REPORT.has_suffix(report):
             raise typer.BadParameter(f"{report}: a report is .json or .csv; name it so")
-        check_report_path(report, [*inputs, output or pipeline.default_cache_path(inputs)])
+        REPORT.checked_path(report, [*inputs, output or pipeline.default_cache_path(inputs)])
     config = pipeline.BuildConfig(weld_tolerance_m=weld_tolerance)
+    costs = cli_clamp.costs_of(cost_vertex, cost_area)
     with _progress() as tell, second_compiler():
         result = pipeline.build(
             inputs,
             output,
             config,
             lambda stage: tell(stage, pipeline.STAGES.index(stage), len(pipeline.STAGES)),
+            lights=light or [],
+            costs=costs,
         )
     if report is not None:
         write_report(result.prepared, report)
@@ -190,8 +224,7 @@ def silhouette(
         list[str] | None,
         typer.Option(
             metavar="SPEC",
-            help="dir:AZIMUTH,ALTITUDE in degrees, clockwise from north and above the horizon, "
-            "or point:X,Y,Z in input coordinates. Needed, once.",
+            help=f"{LIGHT_HELP}. Needed, once.",
         ),
     ] = None,
     method: Annotated[
@@ -230,6 +263,68 @@ def silhouette(
         print(json.dumps(summary))
         return
     for line in cli_silhouette.summary_lines(summary):
+        print(_plain(line))
+
+
+@app.command()
+def clamp(
+    cache: Annotated[Path, typer.Argument(metavar="CACHE")],
+    light: LightsOption = None,
+    cost_vertex: CostVertexOption = None,
+    cost_area: CostAreaOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Add lights to a cache: where the shadow of each part can be received."""
+    from svprep import cli_clamp
+
+    costs = cli_clamp.costs_of(cost_vertex, cost_area)
+    with _progress() as tell:
+        summary = cli_clamp.add(_cache_not_model(cache), light or [], costs, tell)
+    if as_json:
+        print(json.dumps(summary))
+        return
+    for line in cli_clamp.add_lines(summary):
+        print(_plain(line))
+
+
+@app.command()
+def hours(
+    cache: Annotated[Path, typer.Argument(metavar="CACHE")],
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ARC",
+            help="The sun over a part of a day: "
+            "sun:LAT,LON,2026-03-20/06:00/18:00/15m[Europe/Vienna]. Needed, once.",
+        ),
+    ] = None,
+    spacing: Annotated[
+        float,
+        typer.Option(metavar="M", help="One sample per M x M metres of surface."),
+    ] = 1.0,
+    output: Annotated[
+        list[str] | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Write a table of objects (.csv) or all samples as points (.ply); may be "
+            "repeated.",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Count how long the sun shines on roofs, walls and ground."""
+    from svprep import cli_hours
+
+    query = cli_hours.query_of(cache, light or [], spacing, output or [])
+    _cache_not_model(cache)
+    with _progress() as tell:
+        summary = cli_hours.answer(query, tell)
+    if as_json:
+        print(json.dumps(summary))
+        return
+    for line in cli_hours.summary_lines(summary):
         print(_plain(line))
 
 
@@ -388,6 +483,7 @@ def _cache_summary(cache: Cache) -> dict[str, Any]:
 def _content_summary(prepared: Prepared) -> dict[str, Any]:
     """Return what `build` and `info` both say of a city."""
     from svprep import report
+    from svprep.cli_clamp import light_facts
 
     return {
         "objects": len(prepared.object_names),
@@ -398,6 +494,8 @@ def _content_summary(prepared: Prepared) -> dict[str, Any]:
         "edges": report.edge_counts(prepared.edges),
         **report.component_counts(prepared.components.flags),
         "index": report.index_counts(prepared.index),
+        "clusters": len(prepared.scene.cluster_start) - 1,
+        "lights": light_facts(prepared.clamp, prepared.mesh.grid),
         "grid_step_m": prepared.mesh.grid.step_m,
         "left_out": len(report.left_out_faces(prepared)),
         "turned": len(prepared.repair.flipped_faces),
@@ -407,6 +505,8 @@ def _content_summary(prepared: Prepared) -> dict[str, Any]:
 
 
 def _print_counts(summary: dict[str, Any]) -> None:
+    from svprep import cli_clamp
+
     edges = summary["edges"]
     n_edges = edges["pair"] + edges["border"] + edges["split"]
     print(
@@ -427,7 +527,7 @@ def _print_counts(summary: dict[str, Any]) -> None:
         f"index    {index['objects']:,} objects have silhouette trees, over {index['edges']:,} "
         f"edges ({index['n_bytes'] / 1e6:.1f} MB)"
     )
-    print(f"grid     {summary['grid_step_m']:g} m")
+    print(f"grid     {summary['grid_step_m']:g} m; {summary['clusters']:,} clusters of faces")
     print(
         f"repair   {summary['left_out']:,} faces left out (no area on the grid, duplicates, "
         f"no surface), {summary['turned']:,} turned; all listed by --report"
@@ -436,6 +536,8 @@ def _print_counts(summary: dict[str, Any]) -> None:
         print(f"found    {count:>10,}  {label}")
     for note in summary["notes"]:
         print(f"note     {_plain(note)}")
+    for line in cli_clamp.light_lines(summary["lights"]):
+        print(_plain(line))
 
 
 def _print_build(summary: dict[str, Any]) -> None:

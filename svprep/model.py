@@ -6,6 +6,7 @@ of a table is the half-open range ``start[i]:start[i + 1]`` of its offset array.
 
     SourceMesh  --weld-->  Mesh  --repair-->  Mesh + Adjacency + findings
                 --planes-->  PlaneTable  --edges-->  EdgeTable
+    Mesh  --scene tree-->  SceneTree  --clamp, per light-->  ClampTable
 
 Frames: a *source* position is in the file's own coordinates (float64, metres,
 +z up); a *cache* position is ``source - grid.origin_m``, an exact multiple of
@@ -261,6 +262,79 @@ class SilhouetteIndex:
     hextree: SilhouetteTree
 
 
+@dataclass(frozen=True, slots=True)
+class SceneTree:
+    """Where things are: a tree over objects, and one over clusters of nearby faces.
+
+    A cluster is 1 to 8 faces of one object, the ones that clamping takes for one receiver.
+    Both trees have eight children a node and no pointers: the leaves, in their order, fill
+    the nodes of level 0, these fill the nodes of level 1, and so on up to one:
+
+        leaf   0 1 .. 7  8 .. 15  16 .. 23     node b of level 0 holds leaves 8 b .. 8 b + 7,
+        level 0   [0]      [1]       [2]       node b of level l + 1 the nodes
+        level 1            [0]                 8 b .. 8 b + 7 of level l.
+
+    Nodes are stored from level 0 up. A box is ``(x0, y0, z0, x1, y1, z1)``, exact.
+    """
+
+    objects: U32
+    """``(n_objects,)``: the leaves of the tree over objects."""
+    object_boxes: F32
+    """``(n_objects, 6)`` [m], in the order of objects, not of leaves; one without faces
+    holds infinities, x0 > x1."""
+    object_nodes: F32
+    """``(n_object_nodes, 6)`` [m]"""
+    faces: U32
+    """``(n_faces,)``: faces in the order of clusters."""
+    cluster_start: I64
+    """``(n_clusters + 1,)``: cluster i, leaf i of its tree: ``faces[start[i]:start[i + 1]]``."""
+    cluster_nodes: F32
+    """``(n_cluster_nodes, 6)`` [m]"""
+
+
+@dataclass(frozen=True, slots=True)
+class ClampTable:
+    """Per light and caster: the intervals in which a shadow can be received.
+
+    A caster is a component.
+
+    Sun: a light frame has the axes u and v across the light and the depth t along it, away
+    from it, all [m] from the origin of the cache frame. A segment is the part of the
+    caster's shadow with ``near <= t - slope_u u - slope_v v <= far``: it lies between two
+    parallel planes, across the light where the slopes are 0.
+
+    Point light L: a segment holds the points ``L + k (x - L)`` with ``near <= k <= far`` of
+    the points x of the caster; slopes are 0, and the frame is x, y, z.
+
+    A caster's segments follow each other away from the light; those with slopes may overlap,
+    and a point in two of them is counted twice. The first one begins at the caster itself,
+    whatever its `near`. `far` may be infinite.
+    """
+
+    specs: tuple[str, ...]
+    """``(n_lights,)``: each light as the user named it."""
+    lights: F32
+    """``(n_lights, 4)``: in the cache frame."""
+    frames: F64
+    """``(n_lights, 3, 3)``: rows u, v, t."""
+    facts: F64
+    """``(n_lights, 5)``: costs of a vertex and of a square metre of side or cap; surface
+    [m^2] of all volumes unclamped (to the end of the scene), with each caster clamped to
+    its own box alone, and clamped."""
+    light_start: I64
+    """``(n_lights + 1,)``: where each light's segments begin."""
+    segment_start: U32
+    """``(n_lights, n_components + 1)``: where each caster's begin, counted from the light's."""
+    depths: F32
+    """``(n_segments, 2)``: near and far."""
+    slopes: I16
+    """``(n_segments, 2)``: along u and v, in units of 1 / 512."""
+
+    def __len__(self) -> int:
+        """Return the number of lights."""
+        return len(self.specs)
+
+
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Prepared:
     """A whole prepared city: what `pipeline.prepare` returns and a cache holds."""
@@ -274,6 +348,9 @@ class Prepared:
     planes: PlaneTable
     edges: EdgeTable
     index: SilhouetteIndex
+    scene: SceneTree
+    clamp: ClampTable
+    """Of the lights that the build was asked for, or that were added since; maybe none."""
     repair: RepairRecord
     config: dict[str, object]
     """What the build was asked for: JSON values only; the same configuration and

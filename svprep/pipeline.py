@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from svprep.cache.codec import Raw, clamp_datasets
 from svprep.cache.files import resolve_target
+from svprep.cache.reader import Cache, open_cache
+from svprep.cache.writer import CacheSummary, rewrite_cache, write_cache
+from svprep.clamp import ClampCosts, LightHook, clamp_lights, joined, selected
 from svprep.edges import build_edges
 from svprep.errors import InputError
 from svprep.ingest import read
-from svprep.model import Prepared, SourceMesh
+from svprep.light import Light, Site, parse_lights
+from svprep.model import ClampTable, Prepared, SourceMesh
 from svprep.planes import build_planes
 from svprep.repair.stage import record, repair
 from svprep.repair.weld import weld
+from svprep.scene_tree import build_scene_tree
 from svprep.silhouette.index import build_index
-
-if TYPE_CHECKING:
-    from svprep.cache.writer import CacheSummary
 
 StageHook = Callable[[str], None]
 """Called with a stage's name when it starts: ``"load"``, ``"weld"``, ..."""
 
-STAGES = ("load", "weld", "repair", "planes", "edges", "silhouettes", "write")
+STAGES = (
+    "load",
+    "weld",
+    "repair",
+    "planes",
+    "edges",
+    "silhouettes",
+    "scene tree",
+    "clamp",
+    "write",
+)
 CACHE_SUFFIX = ".svp.h5"
 
 
@@ -59,6 +71,9 @@ def build(
     output: str | PathLike[str] | None = None,
     config: BuildConfig | None = None,
     on_stage: StageHook | None = None,
+    *,
+    lights: Sequence[str] = (),
+    costs: ClampCosts | None = None,
 ) -> BuildResult:
     """Build the cache of one or more model files.
 
@@ -71,11 +86,15 @@ def build(
     config : BuildConfig, optional
     on_stage : callable, optional
         Told the name of each stage as it starts.
+    lights : sequence of str
+        Specs of lights to clamp shadows for; an arc is one per step by day.
+    costs : ClampCosts, optional
+        What clamping weighs.
 
     Raises
     ------
     InputError
-        A file cannot be read, or holds no face. No cache is written.
+        A file cannot be read, or holds no face; a light is not one. No cache is written.
     CacheError, EnvironmentProblem
         The cache cannot be written. An older cache of that name stays whole.
     """
@@ -84,25 +103,32 @@ def build(
     # Text, because a Path would drop the slash of a folder's name.
     path = fspath(default_cache_path(inputs) if output is None else output)
     resolve_target(path)  # a slip of -o is told before any work, not after
+    # No format tells a CRS yet, so no light depends on what is read.
+    parsed = parse_lights(lights)
     timer = _StageTimer(on_stage)
     timer.start("load")
     source = read([Path(p) for p in inputs])
-    prepared = prepare(source, config or BuildConfig(), timer.start)
+    prepared = prepare(source, config or BuildConfig(), timer.start, parsed, costs)
     timer.start("write")
-    from svprep.cache.writer import write_cache
-
     summary = write_cache(prepared, path)
     return BuildResult(cache=summary, prepared=prepared, seconds=timer.stop())
 
 
-def prepare(source: SourceMesh, config: BuildConfig, on_stage: StageHook | None = None) -> Prepared:
+def prepare(
+    source: SourceMesh,
+    config: BuildConfig,
+    on_stage: StageHook | None = None,
+    lights: Sequence[Light] = (),
+    costs: ClampCosts | None = None,
+) -> Prepared:
     """Return the whole prepared city: every table that a cache holds.
 
     The order is forced. Welding comes first, because faces meet only where
     they share vertices. Repair needs them to meet, and decides winding before
     it splits edges, since pairs are pairs of faces that wind alike. Planes
     spread over pairs. The edge table marks edges within a plane, which the
-    silhouette trees leave out; so they come last.
+    silhouette trees leave out; so they come after it. Clamping needs the tree of
+    receivers, and components for casters.
     """
     stage = on_stage or (lambda name: None)
     stage("weld")
@@ -123,6 +149,10 @@ def prepare(source: SourceMesh, config: BuildConfig, on_stage: StageHook | None 
     edges, components = build_edges(repaired, planes)
     stage("silhouettes")
     index = build_index(repaired.mesh, components, planes, edges)
+    stage("scene tree")
+    scene = build_scene_tree(repaired.mesh)
+    stage("clamp")
+    clamp = clamp_lights(repaired.mesh, components, scene, lights, costs)
     return Prepared(
         sources=source.sources,
         object_names=source.object_names,
@@ -132,10 +162,112 @@ def prepare(source: SourceMesh, config: BuildConfig, on_stage: StageHook | None 
         planes=planes,
         edges=edges,
         index=index,
+        scene=scene,
+        clamp=clamp,
         repair=record(source, weld_report, repair_report),
         config=asdict(config),
         notes=source.notes,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class LightsAdded:
+    """What `add_lights` did."""
+
+    cache: CacheSummary | None
+    """What was written; None if the cache held all the lights already."""
+    clamp: ClampTable
+    """Every light of the cache now."""
+    added: tuple[int, ...]
+    """Lights of `clamp` that were computed."""
+    n_replaced: int
+    """Lights of before that were computed again, with other costs."""
+    n_present: int
+    """Lights asked for that the cache held already, or that were named twice."""
+
+
+def add_lights(
+    path: str | PathLike[str],
+    specs: Sequence[str],
+    costs: ClampCosts | None = None,
+    on_light: LightHook | None = None,
+) -> LightsAdded:
+    """Clamp the shadows of more lights and add them to a cache, all else kept as it is.
+
+    Parameters
+    ----------
+    path : path-like
+        A cache. It is replaced whole or not at all; open readers keep the old content.
+    specs : sequence of str
+        Lights; an arc is one per step by day. The sun's azimuth is turned to the
+        cache's grid if its CRS is known.
+    costs : ClampCosts, optional
+    on_light : callable, optional
+        Called as each light is done.
+
+    Raises
+    ------
+    InputError
+        A light is not one, or lies on a vertex.
+    CacheError
+        The cache is missing, damaged or of another schema, or another process writes it.
+    EnvironmentProblem
+        It cannot be written.
+    """
+    costs = costs or ClampCosts()
+    done: list[LightsAdded] = []
+
+    def change(cache: Cache) -> dict[str, Raw]:
+        table = cache.clamp
+        wanted, kept = _lights_to_add(cache, parse_lights(specs, site_of(cache)), costs)
+        new = clamp_lights(cache.mesh, cache.components, cache.scene, wanted, costs, on_light)
+        whole = joined(selected(table, kept), new)
+        done.append(
+            LightsAdded(
+                cache=None,
+                clamp=whole,
+                added=tuple(range(len(kept), len(whole))),
+                n_replaced=len(table) - len(kept),
+                n_present=0,
+            )
+        )
+        return clamp_datasets(whole)
+
+    with open_cache(path) as cache:
+        lights = parse_lights(specs, site_of(cache))
+        wanted, _ = _lights_to_add(cache, lights, costs)
+        if not wanted:
+            return LightsAdded(None, cache.clamp, (), 0, len(lights))
+    summary = rewrite_cache(path, change)
+    return replace(done[-1], cache=summary, n_present=len(lights) - len(done[-1].added))
+
+
+def site_of(cache: Cache) -> Site:
+    """Return where a cache's model stands, for the sun's azimuth."""
+    x_m, y_m, _ = cache.grid.origin_m.tolist()
+    return Site(cache.crs, x_m, y_m)
+
+
+def _lights_to_add(
+    cache: Cache, lights: Sequence[Light], costs: ClampCosts
+) -> tuple[list[Light], list[int]]:
+    """Return the lights that the cache lacks, each once, and its own that stay.
+
+    A light is the same if its four numbers are. One that the cache holds with other costs
+    is computed again, and does not stay.
+    """
+    table = cache.clamp
+    held = {table.lights[i].tobytes(): i for i in range(len(table))}
+    wanted: dict[bytes, Light] = {}
+    dropped: set[int] = set()
+    for light in lights:
+        key = light.in_cache_frame(cache.grid).tobytes()
+        if (i := held.get(key)) is not None:
+            if table.facts[i, :2].tolist() == [costs.vertex, costs.area]:
+                continue
+            dropped.add(i)
+        wanted.setdefault(key, light)
+    return list(wanted.values()), [i for i in range(len(table)) if i not in dropped]
 
 
 def default_cache_path(inputs: Sequence[str | PathLike[str]]) -> Path:

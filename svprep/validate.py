@@ -6,6 +6,8 @@ Deep checks, each against something that does not share its code:
     closed volumes   the signed boundary of sides and caps is zero at each vertex
     silhouettes      what the searches find is where those multiplicities are not zero
     cones            every sphere and cone of the trees holds the edges below it
+    segments         rays find the casters between points and each light: every point lies in
+                     a segment of each of its casters
     solids           manifold3d takes each for a manifold with positive volume
     repair           repairing the cached mesh again changes nothing
 """
@@ -39,12 +41,16 @@ from svprep.model import (
 )
 from svprep.planes import build_planes
 from svprep.reference import EdgeSums
+from svprep.reference.casters import CasterRays, outside_segments, surface_points
 from svprep.repair.stage import repair
 from svprep.silhouette import Method, silhouette
 from svprep.silhouette.volumes import closed_volume_allowed, component_bounds
 
 N_LIGHTS = 100
 """Lights of a deep check: half directional, half points, some inside solids."""
+
+N_POINTS = 2000
+"""Random points of the surface, for each light that the cache clamps shadows for."""
 
 SEARCHES: tuple[Method, ...] = ("auto", "cones", "hextree")
 """The methods of `silhouette` that a deep check compares with the records."""
@@ -87,6 +93,13 @@ DEEP_CHECKS: dict[str, Check] = {
             "another multiplicity.",
             _BUG,
         ),
+        Check(
+            "V606",
+            "CUT_SHADOW",
+            "A point in the shadow of a component, as a ray finds, lies in none of its clamped "
+            "segments for that light.",
+            "Drawn clamped, that shadow has a hole; with --clamp none it is right. " + _BUG,
+        ),
     )
 }
 """The checks of `validate --deep`; those of the quick check are `cache.checks.CHECKS`."""
@@ -119,7 +132,7 @@ def validate(path: str | Path, *, deep: bool = False, on_step: Step | None = Non
     CacheError
         The file is missing or is no cache at all.
     EnvironmentProblem
-        `deep` without the package manifold3d.
+        `deep` without the package manifold3d, or embreex where the cache has lights.
     """
     step = on_step or (lambda what, done, of: None)
     if deep:
@@ -129,9 +142,15 @@ def validate(path: str | Path, *, deep: bool = False, on_step: Step | None = Non
     checks = ["structure, digests, ranges and table invariants"] if not problems else []
     if deep and not problems:
         with open_cache(path) as cache:
-            for check in (_check_volumes, _check_searches, _check_solids, _check_repair_again):
+            for check in (
+                _check_volumes,
+                _check_searches,
+                _check_segments,
+                _check_solids,
+                _check_repair_again,
+            ):
                 line, found = check(cache, step)
-                checks += [line] if not found else []
+                checks += [line] if line and not found else []
                 problems += found
     return Validation(path=str(path), is_deep=deep, problems=tuple(problems), checks=tuple(checks))
 
@@ -279,6 +298,40 @@ def _check_searches(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     line = (
         f"{N_LIGHTS} lights: {', '.join(SEARCHES)} find the silhouette, no edge more or less; "
         f"bounds hold in {len(cache.index.objects):,} trees"
+    )
+    return line, problems
+
+
+def _check_segments(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
+    """Rays against the clamped segments of every light of the cache, if it has any."""
+    table = cache.clamp
+    if not len(table):
+        return "", []
+    rays = CasterRays(cache.mesh, cache.components)
+    rng = np.random.default_rng(0)
+    problems: list[Problem] = []
+    n_pairs = 0
+    for i, spec in enumerate(table.specs):
+        step("clamped segments", i, len(table))
+        points = surface_points(cache.mesh, N_POINTS, rng)
+        pairs = rays.between(points, table.lights[i])
+        n_pairs += len(pairs.point)
+        wrong = np.flatnonzero(outside_segments(table, i, points, pairs))
+        if len(wrong):
+            first = wrong[0]
+            at = (points[pairs.point[first]] + cache.grid.origin_m).round(3).tolist()
+            problems.append(
+                Problem(
+                    "V606",
+                    "clamp/depth",
+                    f'light "{spec}": {len(wrong)} of {len(pairs.point)} pairs of a point and a '
+                    f"component that shadows it lie outside its segments; the first is {at} behind "
+                    f"component {int(pairs.component[first])}",
+                )
+            )
+    line = (
+        f"{len(table)} lights: {n_pairs:,} pairs of a point and a component between it and the "
+        "light, found by rays, all lie in a segment"
     )
     return line, problems
 

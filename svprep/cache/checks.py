@@ -205,6 +205,21 @@ CHECKS: dict[str, Check] = {
             "For some lights a silhouette edge is passed over, and shadows leak there. " + _BUG,
         ),
         Check(
+            "V413",
+            "BAD_SCENE_TREE",
+            "A scene tree does not hold every object or face once, a cluster holds faces of two "
+            "objects or too many, or a box is not that of what it holds.",
+            "What is culled or clamped with it may be seen, or cast a shadow, after all. " + _BUG,
+        ),
+        Check(
+            "V414",
+            "BAD_LIGHT",
+            "A light, its frame or its segments cannot be right: no unit direction, axes that are "
+            "not its own, a component without segments, a segment that ends before it begins.",
+            "Shadows of that light are wrong when they are drawn clamped; with --clamp none they "
+            "are right. " + _BUG,
+        ),
+        Check(
             "V501",
             "BAD_RECORD",
             "The repair record is not sorted, repeats itself, counts nothing, or gives fewer "

@@ -24,6 +24,7 @@ from svprep.model import (
     NO_INDEX,
     U8,
     U32,
+    ClampTable,
     Components,
     EdgeTable,
     FaceFindings,
@@ -32,6 +33,7 @@ from svprep.model import (
     PlaneTable,
     Prepared,
     RepairRecord,
+    SceneTree,
     SilhouetteIndex,
     SilhouetteTree,
     SourceFile,
@@ -83,6 +85,8 @@ def encode_datasets(prepared: Prepared) -> dict[str, Raw]:
         "edges/half_edges": half_edges_of_rows(corners, _as("rows", edges.rows, "<u4", (-1, 4))),
         "edges/flags": _as("edges.flags", edges.flags, "|u1", (-1,)),
         **_index_datasets(prepared.index),
+        **_scene_datasets(prepared.scene),
+        **clamp_datasets(prepared.clamp),
         "repair/count_object": count_object,
         "repair/count_code": count_code,
         "repair/count": count,
@@ -107,6 +111,34 @@ def _index_datasets(index: SilhouetteIndex) -> dict[str, Raw]:
         arrays[f"{group}/blocks"] = _as(f"{group}.blocks", tree.blocks, "<i2", (-1, 8, 8))
         arrays[f"{group}/work"] = _as(f"{group}.work", tree.expected_work, "<f4", (-1, 2))
     return arrays
+
+
+def _scene_datasets(scene: SceneTree) -> dict[str, Raw]:
+    return {
+        "scene/object": _as("scene.objects", scene.objects, "<u4", (-1,)),
+        "scene/object_boxes": _as("scene.object_boxes", scene.object_boxes, "<f4", (-1, 6)),
+        "scene/object_nodes": _as("scene.object_nodes", scene.object_nodes, "<f4", (-1, 6)),
+        "scene/face": _as("scene.faces", scene.faces, "<u4", (-1,)),
+        "scene/cluster_start": _offsets("scene.cluster_start", scene.cluster_start),
+        "scene/cluster_nodes": _as("scene.cluster_nodes", scene.cluster_nodes, "<f4", (-1, 6)),
+    }
+
+
+def clamp_datasets(clamp: ClampTable) -> dict[str, Raw]:
+    """Return the stored arrays of the lights and their segments alone."""
+    specs = [_name_bytes(spec) for spec in clamp.specs]
+    spec_start = np.concatenate(([0], np.cumsum([len(spec) for spec in specs], dtype=np.int64)))
+    return {
+        "lights/spec_start": _offsets("light spec", spec_start),
+        "lights/spec_bytes": np.frombuffer(b"".join(specs), np.uint8),
+        "lights/light": _as("clamp.lights", clamp.lights, "<f4", (-1, 4)),
+        "lights/frame": _as("clamp.frames", clamp.frames, "<f8", (-1, 3, 3)),
+        "lights/facts": _as("clamp.facts", clamp.facts, "<f8", (-1, 5)),
+        "lights/segment_start": _offsets("clamp.light_start", clamp.light_start),
+        "clamp/segment_start": _as("clamp.segment_start", clamp.segment_start, "<u4", (-1, -1)),
+        "clamp/depth": _as("clamp.depths", clamp.depths, "<f4", (-1, 2)),
+        "clamp/slope": _as("clamp.slopes", clamp.slopes, "<i2", (-1, 2)),
+    }
 
 
 def encode_attributes(prepared: Prepared, crs: str = "") -> dict[str, bytes | Raw]:
@@ -356,6 +388,32 @@ def decode_index(fetch: Fetch) -> SilhouetteIndex:
     )
 
 
+def decode_scene(fetch: Fetch) -> SceneTree:
+    """Return the scene trees of a cache."""
+    return SceneTree(
+        objects=_native(fetch("scene/object"), np.uint32),
+        object_boxes=_native(fetch("scene/object_boxes"), np.float32),
+        object_nodes=_native(fetch("scene/object_nodes"), np.float32),
+        faces=_native(fetch("scene/face"), np.uint32),
+        cluster_start=_native(fetch("scene/cluster_start"), np.int64),
+        cluster_nodes=_native(fetch("scene/cluster_nodes"), np.float32),
+    )
+
+
+def decode_clamp(fetch: Fetch) -> ClampTable:
+    """Return the lights of a cache and their segments."""
+    return ClampTable(
+        specs=_texts(fetch("lights/spec_bytes"), fetch("lights/spec_start")),
+        lights=_native(fetch("lights/light"), np.float32),
+        frames=_native(fetch("lights/frame"), np.float64),
+        facts=_native(fetch("lights/facts"), np.float64),
+        light_start=_native(fetch("lights/segment_start"), np.int64),
+        segment_start=_native(fetch("clamp/segment_start"), np.uint32),
+        depths=_native(fetch("clamp/depth"), np.float32),
+        slopes=_native(fetch("clamp/slope"), np.int16),
+    )
+
+
 def decode_repair(fetch: Fetch, n_objects: int) -> RepairRecord:
     """Return the repair record of a cache.
 
@@ -388,9 +446,12 @@ def decode_repair(fetch: Fetch, n_objects: int) -> RepairRecord:
 
 def decode_names(fetch: Fetch) -> tuple[str, ...]:
     """Return the object names of a cache."""
-    blob = fetch("objects/name_bytes").tobytes()
-    start = fetch("objects/name_start").tolist()
-    return tuple(blob[a:b].decode("utf-8", "surrogateescape") for a, b in pairwise(start))
+    return _texts(fetch("objects/name_bytes"), fetch("objects/name_start"))
+
+
+def _texts(text_bytes: Raw, start: Raw) -> tuple[str, ...]:
+    blob = text_bytes.tobytes()
+    return tuple(blob[a:b].decode("utf-8", "surrogateescape") for a, b in pairwise(start.tolist()))
 
 
 def decode_sources(paths: object, sources: object) -> tuple[SourceFile, ...]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from svprep.cache.checks import Problem, problem_at
 from svprep.cache.codec import BLOCK, face_normals, next_half_edge, rows_of_half_edges
+from svprep.cache.scene_invariants import SCENE_CHECKS
 from svprep.cache.schema import DATASETS, DatasetSpec
 from svprep.cache.tables import CheckFunction, Tables, owner_of_rows
 from svprep.cache.tree_invariants import TREE_CHECKS
@@ -327,6 +328,7 @@ TABLE_CHECKS: tuple[tuple[CheckFunction, tuple[str, ...]], ...] = (
     (check_flipped, ("repair/flipped_faces",)),
     (check_source_triangles, ("repair/source_triangles", "objects/face_start")),
     *TREE_CHECKS,
+    *SCENE_CHECKS,
 )
 """Every check between tables, with the datasets that must be whole for it."""
 

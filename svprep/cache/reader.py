@@ -46,6 +46,7 @@ from svprep.cache.storage import (
 from svprep.errors import CacheError
 from svprep.model import (
     U32,
+    ClampTable,
     Components,
     EdgeTable,
     Grid,
@@ -53,6 +54,7 @@ from svprep.model import (
     PlaneTable,
     Prepared,
     RepairRecord,
+    SceneTree,
     SilhouetteIndex,
     SourceFile,
 )
@@ -222,6 +224,23 @@ class Cache:
             return codec.decode_index(self.raw)
 
     @cached_property
+    def scene(self) -> SceneTree:
+        """Trees over objects and over clusters of faces."""
+        with self._damage_named("the scene trees"):
+            return codec.decode_scene(self.raw)
+
+    @property
+    def n_lights(self) -> int:
+        """Lights whose shadows are clamped."""
+        return self._sizes["n_lights"]
+
+    @cached_property
+    def clamp(self) -> ClampTable:
+        """Lights, and the segments of every caster for each."""
+        with self._damage_named("the clamped segments"):
+            return codec.decode_clamp(self.raw)
+
+    @cached_property
     def repair(self) -> RepairRecord:
         """What weld and repair decided."""
         with self._damage_named("the repair record"):
@@ -238,6 +257,8 @@ class Cache:
             planes=self.planes,
             edges=self.edges,
             index=self.index,
+            scene=self.scene,
+            clamp=self.clamp,
             repair=self.repair,
             config=self.config,
             notes=self.notes,
@@ -263,6 +284,13 @@ class Cache:
         if path in SHARED:
             self._kept[path] = array
         return array
+
+    def attributes(self) -> dict[str, bytes | NDArray[np.generic]]:
+        """Return every root attribute but the two digests, as it is stored."""
+        digests = ("content_digest", "root_digest")
+        return {
+            spec.name: self._value(spec.name) for spec in ATTRIBUTES if spec.name not in digests
+        }
 
     def _damage_named(self, what: str) -> AbstractContextManager[None]:
         return damage_named(self._path, what, self._file)

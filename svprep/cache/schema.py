@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC: Final = "svprep-cache"
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 
 LIBVER: Final = ("v108", "v108")
 """HDF5 format bounds. Version 1.8 (2008) is the first that checksums its own
@@ -100,6 +100,7 @@ V, F, O = Dim("n_vertices"), Dim("n_faces"), Dim("n_objects")  # noqa: E741
 C, P, E = Dim("n_components"), Dim("n_planes"), Dim("n_edges")
 SOURCES = Dim("n_sources")
 T, I, B = Dim("n_trees"), Dim("n_indexed_edges"), Dim("n_blocks")  # noqa: E741
+L, S = Dim("n_lights"), Dim("n_segments")
 
 DATASETS: Final[tuple[DatasetSpec, ...]] = (
     DatasetSpec(
@@ -325,6 +326,127 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         )
     ),
     DatasetSpec(
+        "scene/object",
+        "<u4",
+        (O,),
+        "",
+        "Objects in the order of the tree over them. See Scene trees, below.",
+        "index",
+        O,
+    ),
+    DatasetSpec(
+        "scene/object_boxes",
+        "<f4",
+        (O, 6),
+        "m",
+        "Box of each object, by object: x0, y0, z0, x1, y1, z1, exact. An object without faces "
+        "has x0 = infinity, x1 = -infinity.",
+    ),
+    DatasetSpec(
+        "scene/object_nodes",
+        "<f4",
+        (Dim("n_object_nodes"), 6),
+        "m",
+        "Boxes of the nodes of the tree over objects, level by level from the lowest.",
+    ),
+    DatasetSpec(
+        "scene/face",
+        "<u4",
+        (F,),
+        "",
+        "Faces in the order of clusters, each once.",
+        "index",
+        F,
+    ),
+    DatasetSpec(
+        "scene/cluster_start",
+        "<u4",
+        (Dim("n_clusters", plus=1),),
+        "",
+        "Cluster i holds the entries start[i] to start[i + 1] - 1 of `scene/face`: 1 to 8 faces "
+        "of one object.",
+        "offsets",
+        F,
+    ),
+    DatasetSpec(
+        "scene/cluster_nodes",
+        "<f4",
+        (Dim("n_cluster_nodes"), 6),
+        "m",
+        "Boxes of the nodes of the tree over clusters, level by level from the lowest.",
+    ),
+    DatasetSpec(
+        "lights/spec_start",
+        "<u4",
+        (L._replace(plus=1),),
+        "bytes",
+        "Light i is named by the bytes start[i] to start[i + 1] - 1 of `lights/spec_bytes`.",
+        "offsets",
+        Dim("n_spec_bytes"),
+    ),
+    DatasetSpec(
+        "lights/spec_bytes",
+        "|u1",
+        (Dim("n_spec_bytes"),),
+        "",
+        "All lights as they were asked for, UTF-8, end to end; an arc is one light per step.",
+    ),
+    DatasetSpec(
+        "lights/light",
+        "<f4",
+        (L, 4),
+        "",
+        "(x, y, z, w) in the cache frame: w = 1 a point light [m], w = 0 the direction towards "
+        "the light.",
+    ),
+    DatasetSpec(
+        "lights/frame",
+        "<f8",
+        (L, 3, 3),
+        "",
+        "Rows u, v, t of each light frame: unit vectors, t away from the light; x, y, z for a "
+        "point light.",
+    ),
+    DatasetSpec(
+        "lights/facts",
+        "<f8",
+        (L, 5),
+        "",
+        "What clamping weighed and gained: cost of a vertex, cost of a square metre; surface "
+        "[m^2] of all shadow volumes unclamped, clamped to each caster's own box, and clamped.",
+    ),
+    DatasetSpec(
+        "lights/segment_start",
+        "<u4",
+        (L._replace(plus=1),),
+        "",
+        "Light i has the segments start[i] to start[i + 1] - 1.",
+        "offsets",
+        S,
+    ),
+    DatasetSpec(
+        "clamp/segment_start",
+        "<u4",
+        (L, C._replace(plus=1)),
+        "",
+        "Of light i, component j has the segments start[i, j] to start[i, j + 1] - 1, counted "
+        "from the light's first: at least one.",
+    ),
+    DatasetSpec(
+        "clamp/depth",
+        "<f4",
+        (S, 2),
+        "m",
+        "Near and far of each segment (for a point light: factors). See Clamped segments, below.",
+    ),
+    DatasetSpec(
+        "clamp/slope",
+        "<i2",
+        (S, 2),
+        "1/512",
+        "Slopes of a segment's two planes along u and v; 0 for a point light.",
+    ),
+    DatasetSpec(
         "repair/count_object",
         "<u4",
         (Dim("n_counts"),),
@@ -420,7 +542,7 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
         (),
         "",
         "SHA-256 over everything but the producer version and the source paths: what two builds "
-        "compare.",
+        "compare. Adding lights changes it.",
         in_content=False,
     ),
     AttributeSpec(

@@ -20,6 +20,7 @@ from typing import Final
 import h5py
 import numpy as np
 
+from svprep import __version__
 from svprep.cache.codec import Raw, encode_attributes, encode_datasets
 from svprep.cache.files import (
     Temporary,
@@ -29,6 +30,7 @@ from svprep.cache.files import (
     resolve_target,
     sync_folder,
 )
+from svprep.cache.reader import Cache, open_cache
 from svprep.cache.schema import (
     ATTRIBUTES,
     DATASETS,
@@ -108,14 +110,65 @@ def write_cache(
     InternalError
         A table breaks its contract.
     """
+    return _replace(
+        path,
+        lambda target: (encode_datasets(prepared), encode_attributes(prepared, crs)),
+        lock_wait_s,
+        checkpoint,
+    )
+
+
+def rewrite_cache(
+    path: str | os.PathLike[str],
+    change: Callable[[Cache], Mapping[str, Raw]],
+    *,
+    lock_wait_s: float = 0.0,
+    checkpoint: Checkpoint | None = None,
+) -> CacheSummary:
+    """Replace some datasets of the cache `path`, as atomically as `write_cache`.
+
+    Parameters
+    ----------
+    path : path-like
+    change : callable
+        Given the open cache while no one else can write it; returns the stored arrays of
+        the datasets that change. All others are copied, their digests checked.
+    lock_wait_s, checkpoint
+        As for `write_cache`.
+
+    Raises
+    ------
+    CacheError, EnvironmentProblem, InternalError
+        As for `write_cache`; also if `path` is not there, or damaged. It stays as it was.
+    """
+    open_cache(path).close()  # told before the lock is taken
+
+    def contents(target: Path) -> tuple[dict[str, Raw], dict[str, bytes | Raw]]:
+        with open_cache(target) as cache:
+            changed = change(cache)
+            datasets = {
+                spec.path: changed[spec.path] if spec.path in changed else cache.raw(spec.path)
+                for spec in DATASETS
+            }
+            return datasets, {**cache.attributes(), "producer_version": __version__.encode()}
+
+    return _replace(path, contents, lock_wait_s, checkpoint)
+
+
+def _replace(
+    path: str | os.PathLike[str],
+    contents: Callable[[Path], tuple[dict[str, Raw], dict[str, bytes | Raw]]],
+    lock_wait_s: float,
+    checkpoint: Checkpoint | None,
+) -> CacheSummary:
+    """Write what `contents` returns under the lock; the outline of all writing."""
     at: Checkpoint = checkpoint or (lambda name: None)
     target = resolve_target(path)
     with exclusive_lock(target, lock_wait_s):
         try:
             remove_leftovers(target)
             at("locked")
-            datasets = encode_datasets(prepared)
-            attributes = encode_attributes(prepared, crs)
+            datasets, attributes = contents(target)
             with Temporary(target) as temporary:
                 at("temp_created")
                 content = _write_hdf5(temporary, datasets, attributes, at)

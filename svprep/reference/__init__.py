@@ -15,8 +15,21 @@ and of silhouettes, for a light:
     silhouettes.py   every edge record looked at, in float64: the twin of all methods
     edge_lists.py    walking over faces: edge elimination and the edge buffer
     hextree.py       the published index, to compare its work with ours
+
+and of clamped segments:
+
+    casters.py       rays: every face between a point and a light, and whether it is clamped away
+    clamping.py      the segments, from every cluster against every caster
 """
 
+from svprep.reference.casters import (
+    Between,
+    CasterRays,
+    casters_between,
+    outside_segments,
+    surface_points,
+)
+from svprep.reference.clamping import TwinSegments, clamp_by_scan
 from svprep.reference.contact import triangles_touch
 from svprep.reference.edge_lists import edge_buffer, eliminate_edges
 from svprep.reference.hextree import Hextree, HextreeVisit, build_hextree, visit_hextree
@@ -34,14 +47,19 @@ from svprep.reference.tables import (
 from svprep.reference.volumes import Counts, closed_count, robust_count, volume_count
 
 __all__ = [
+    "Between",
+    "CasterRays",
     "Counts",
     "EdgeSums",
     "Hextree",
     "HextreeVisit",
     "SilhouetteRows",
     "SilhouetteTwin",
+    "TwinSegments",
     "build_hextree",
+    "casters_between",
     "check_planes",
+    "clamp_by_scan",
     "closed_count",
     "components",
     "edge_buffer",
@@ -52,8 +70,10 @@ __all__ = [
     "first_equal_row",
     "group_edges",
     "multiplicity_of_rows",
+    "outside_segments",
     "pair_edges",
     "robust_count",
+    "surface_points",
     "triangles_touch",
     "visit_hextree",
     "volume_count",

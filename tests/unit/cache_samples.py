@@ -2,13 +2,15 @@
 
 Object "roof" is an open strip of two triangles in the plane z = 4 (one record,
 one planar pair, four borders); object "tetra" is a closed tetrahedron, and has
-silhouette trees of one leaf. Trees of several levels: `two_spheres`.
+silhouette trees of one leaf. Two lights are clamped: the sun at its zenith, and a
+lamp. Trees of several levels: `two_spheres`.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
 from functools import cache
+from itertools import pairwise
 from unittest.mock import patch
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy as np
 from svprep.defects import DEFECTS, Code
 from svprep.model import (
     NO_INDEX,
+    ClampTable,
     Components,
     EdgeFlag,
     EdgeKind,
@@ -26,6 +29,7 @@ from svprep.model import (
     PlaneTable,
     Prepared,
     RepairRecord,
+    SceneTree,
     SilhouetteIndex,
     SilhouetteTree,
     SourceFile,
@@ -63,6 +67,14 @@ def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
     a, b, c = (positions[faces[first_face, i]].astype(np.float64) for i in range(3))
     normal = np.cross(b - a, c - a)
     planes = np.column_stack([normal, -(normal * a).sum(1)])
+    mesh = Mesh(
+        grid=Grid(STEP_M, np.array([85_000.0, 446_000.0, -2.0])),
+        positions=positions,
+        faces=faces,
+        object_vertex_start=np.array([0, 4, 8], np.int64),
+        object_face_start=np.array([0, 2, 6], np.int64),
+        source_face=np.array([0, 2, 0, 1, 2, 3], np.uint32),
+    )
     none = NO_INDEX
     rows = np.array(
         [
@@ -94,14 +106,7 @@ def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
         ),
         object_names=("roof", "Türmchen \N{CASTLE}"),
         object_source=np.array([0, 1], np.uint32),
-        mesh=Mesh(
-            grid=Grid(STEP_M, np.array([85_000.0, 446_000.0, -2.0])),
-            positions=positions,
-            faces=faces,
-            object_vertex_start=np.array([0, 4, 8], np.int64),
-            object_face_start=np.array([0, 2, 6], np.int64),
-            source_face=np.array([0, 2, 0, 1, 2, 3], np.uint32),
-        ),
+        mesh=mesh,
         components=Components(
             object_start=np.array([0, 1, 2], np.int64),
             face_start=np.array([0, 2, 6], np.int64),
@@ -111,6 +116,8 @@ def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
         planes=PlaneTable(planes, plane_of_face, tolerance_m=STEP_M / 2),
         edges=EdgeTable(rows, np.array(flags, np.uint8)),
         index=_trees_of_the_tetrahedron(positions[4:], planes[1:]),
+        scene=one_cluster_each(mesh),
+        clamp=_sun_and_lamp(shift_m),
         repair=RepairRecord(
             defect_counts=counts,
             source_triangles=np.array([3, 4], np.uint32),
@@ -155,6 +162,58 @@ def _trees_of_the_tetrahedron(points: np.ndarray, planes: np.ndarray) -> Silhoue
     )
 
 
+def one_cluster_each(mesh: Mesh) -> SceneTree:
+    """Return the scene trees of at most eight objects of 1 to 8 faces: a node over each."""
+    boxes = []
+    for begin, end in pairwise(mesh.object_face_start.tolist()):
+        points = mesh.positions[mesh.faces[begin:end].reshape(-1)]
+        boxes.append([*points.min(axis=0), *points.max(axis=0)])
+    low, high = np.hsplit(np.array(boxes, np.float32), 2)
+    node = np.array([[*low.min(axis=0), *high.max(axis=0)]], np.float32)
+    return SceneTree(
+        objects=np.arange(len(boxes), dtype=np.uint32),
+        object_boxes=np.array(boxes, np.float32),
+        object_nodes=node,
+        faces=np.arange(len(mesh.faces), dtype=np.uint32),
+        cluster_start=mesh.object_face_start,
+        cluster_nodes=node.copy(),
+    )
+
+
+def _sun_and_lamp(shift_m: float) -> ClampTable:
+    """Return segments of the strip and of the tetrahedron, right but for being any one's.
+
+    Three of the sun's, the strip's second one slanted; three of a lamp's over the strip.
+    """
+    return ClampTable(
+        specs=("dir:0,90", "point:Über,dem,Dach"),
+        lights=np.array([[0, 0, 1, 0], [1 + shift_m, 0.5, 10, 1]], np.float32),
+        frames=np.array([[[1, 0, 0], [0, -1, 0], [0, 0, -1]], np.eye(3)]),
+        facts=np.array([[4, 1, 30, 20, 10], [4, 0.5, 60, 50, 40]], np.float64),
+        light_start=np.array([0, 3, 6], np.int64),
+        segment_start=np.array([[0, 2, 3], [0, 2, 3]], np.uint32),
+        depths=np.array(
+            [[-4.1, -3.9], [-1.5, 0.5], [-1.1, 0.1], [0.9, 1.1], [1.25, np.inf], [0.9, 1.5]],
+            np.float32,
+        ),
+        slopes=np.array([[0, 0], [-256, 512], [0, 0], [0, 0], [0, 0], [0, 0]], np.int16),
+    )
+
+
+def no_lights(n_components: int) -> ClampTable:
+    """Return the table of a build without lights."""
+    return ClampTable(
+        specs=(),
+        lights=np.zeros((0, 4), np.float32),
+        frames=np.zeros((0, 3, 3)),
+        facts=np.zeros((0, 5)),
+        light_start=np.zeros(1, np.int64),
+        segment_start=np.zeros((0, n_components + 1), np.uint32),
+        depths=np.zeros((0, 2), np.float32),
+        slopes=np.zeros((0, 2), np.int16),
+    )
+
+
 def no_trees() -> SilhouetteIndex:
     """Return the index of a city whose objects are too small for trees."""
     none32 = np.zeros(0, np.uint32)
@@ -166,11 +225,12 @@ def no_trees() -> SilhouetteIndex:
 
 @cache
 def two_spheres() -> Prepared:
-    """Return a roof, a sphere and a half sphere: trees of three and of two levels.
+    """Return a roof, a sphere and a half sphere: trees of three and of two levels, two lights.
 
     The half sphere ends in borders, so that some of its records are in no tree.
     """
     # Here, because the tests that kill writers fork a process that needs none of it.
+    from svprep.light import parse_lights
     from svprep.pipeline import BuildConfig, prepare
     from svprep.silhouette import index
     from tests.property.meshes import moved, open_shell, side_by_side, source_mesh, sphere
@@ -184,7 +244,8 @@ def two_spheres() -> Prepared:
         open_shell(), moved(whole, (200.0, 0.0, 0.0)), moved(dome, (0.0, 200.0, 10.0))
     )
     with patch.object(index, "FEWEST_PAIRS", 64):  # whatever is fastest now
-        return prepare(source, BuildConfig())
+        lights = parse_lights(["dir:135,40", "point:90,60,120"])
+        return prepare(source, BuildConfig(), lights=lights)
 
 
 def assert_same(got: object, expected: object, where: str = "prepared") -> None:
@@ -221,6 +282,15 @@ def nothing() -> Prepared:
         planes=PlaneTable(np.zeros((0, 4)), none32, STEP_M),
         edges=EdgeTable(np.zeros((0, 4), np.uint32), np.zeros(0, np.uint8)),
         index=no_trees(),
+        scene=SceneTree(
+            objects=none32,
+            object_boxes=np.zeros((0, 6), np.float32),
+            object_nodes=np.zeros((0, 6), np.float32),
+            faces=none32,
+            cluster_start=one,
+            cluster_nodes=np.zeros((0, 6), np.float32),
+        ),
+        clamp=no_lights(0),
         repair=RepairRecord(
             defect_counts=np.zeros((0, len(DEFECTS)), np.uint32),
             source_triangles=none32,

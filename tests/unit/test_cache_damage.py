@@ -20,7 +20,14 @@ from svprep.cache.verify import CHECKS, verify
 from svprep.cache.writer import write_cache
 from svprep.errors import CacheError
 from svprep.model import Prepared
-from tests.unit.cache_samples import assert_same, no_trees, strip_and_tetrahedron, two_spheres
+from tests.unit.cache_samples import (
+    assert_same,
+    no_lights,
+    no_trees,
+    one_cluster_each,
+    strip_and_tetrahedron,
+    two_spheres,
+)
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +180,7 @@ def test_foreign_files(tmp_path: Path) -> None:
         open_cache(tmp_path / "pipe")
 
 
-@pytest.mark.parametrize(("version", "advice"), [(3, "Upgrade"), (1, "svprep build")])
+@pytest.mark.parametrize(("version", "advice"), [(4, "Upgrade"), (2, "svprep build")])
 def test_another_schema(version: int, advice: str, copy: Path) -> None:
     with h5py.File(copy, "r+") as file:
         file.attrs.modify("schema_version", np.uint32(version))
@@ -278,7 +285,11 @@ def rewrite(path: Path, **arrays: np.ndarray) -> None:
     """Replace datasets of a cache and set all digests right: a writer's bug, not damage."""
     with h5py.File(path, "r+", libver=schema.LIBVER) as file:
         for name, array in arrays.items():
-            file[name][...] = array
+            if file[name].shape == array.shape:
+                file[name][...] = array
+            else:
+                del file[name]
+                file.create_dataset(name, data=array, track_times=False)
         table = [
             (s.path, schema.item_digest(s.path, s.dtype, file[s.path][...]))
             for s in schema.DATASETS
@@ -352,6 +363,47 @@ BUGS: dict[str, tuple[tuple[str, object, object], tuple[str, str]]] = {
     "work": (("hextree/work", (0, 1), np.inf), ("V411", "hextree/work")),
     "work below zero": (("cones/work", (0, 0), -1.0), ("V411", "cones/work")),
     "box": (("hextree/blocks", (0, 0, 0), 500), ("V412", "hextree/blocks")),
+    "object twice": (("scene/object", 0, 1), ("V413", "scene/object")),
+    "face twice": (("scene/face", 0, 1), ("V413", "scene/face")),
+    "empty cluster": (("scene/cluster_start", 1, 0), ("V413", "scene/cluster_start")),
+    "cluster of two objects": (("scene/cluster_start", 1, 3), ("V413", "scene/face")),
+    "object box": (("scene/object_boxes", (1, 2), 0.5), ("V413", "scene/object_boxes")),
+    "object box nan": (("scene/object_boxes", (0, 3), np.nan), ("V413", "scene/object_boxes")),
+    "object node": (("scene/object_nodes", (0, 3), 5.5), ("V413", "scene/object_nodes")),
+    "cluster node": (("scene/cluster_nodes", (0, 0), 0.5), ("V413", "scene/cluster_nodes")),
+    "cluster node too wide": (
+        ("scene/cluster_nodes", (0, 5), 9.0),
+        ("V413", "scene/cluster_nodes"),
+    ),
+    "spec offsets": (("lights/spec_start", 1, 99), ("V301", "lights/spec_start")),
+    "direction": (("lights/light", (0, 2), 0.9), ("V414", "lights/light")),
+    "light nan": (("lights/light", (1, 0), np.nan), ("V414", "lights/light")),
+    "light neither": (("lights/light", (1, 3), 0.5), ("V414", "lights/light")),
+    "axis too short": (("lights/frame", (0, 0, 0), 0.999), ("V414", "lights/frame")),
+    "axis nan": (("lights/frame", (0, 1, 2), np.nan), ("V414", "lights/frame")),
+    "axis towards the light": (("lights/frame", (0, 2), [0, 0, 1]), ("V414", "lights/frame")),
+    "axes of a lamp": (("lights/frame", 1, np.eye(3)[[1, 2, 0]]), ("V414", "lights/frame")),
+    "facts": (("lights/facts", (0, 2), -1.0), ("V414", "lights/facts")),
+    "facts nan": (("lights/facts", (1, 0), np.nan), ("V414", "lights/facts")),
+    "facts inf": (("lights/facts", (1, 4), np.inf), ("V414", "lights/facts")),
+    "caster without segments": (
+        ("clamp/segment_start", (0, 1), 0),
+        ("V414", "clamp/segment_start"),
+    ),
+    "segments from 1": (("clamp/segment_start", (1, 0), 1), ("V414", "clamp/segment_start")),
+    "segments fall": (("clamp/segment_start", (0, 1), 9), ("V414", "clamp/segment_start")),
+    "segments left over": (("clamp/segment_start", (0, 2), 2), ("V414", "clamp/segment_start")),
+    "segments of a neighbour": (
+        ("lights/segment_start", 1, 2),
+        ("V414", "clamp/segment_start"),
+    ),
+    "far before near": (("clamp/depth", (0, 1), -4.2), ("V414", "clamp/depth")),
+    "near nan": (("clamp/depth", (2, 0), np.nan), ("V414", "clamp/depth")),
+    "near infinite": (("clamp/depth", (2, 0), -np.inf), ("V414", "clamp/depth")),
+    "far nan": (("clamp/depth", (5, 1), np.nan), ("V414", "clamp/depth")),
+    "segments that overlap": (("clamp/depth", (4, 0), 1.05), ("V414", "clamp/depth")),
+    "before the lamp": (("clamp/depth", (3, 0), -0.1), ("V414", "clamp/slope")),
+    "slope of a lamp": (("clamp/slope", (3, 1), 1), ("V414", "clamp/slope")),
     "count order": (("repair/count_object", 0, 1), ("V501", "repair/count_object")),
     "count zero": (("repair/count", 0, 0), ("V501", "repair/count")),
     "finding order": (("repair/finding_source_face", 1, 9), ("V501", "repair/finding_object")),
@@ -452,6 +504,30 @@ TREE_BUGS: dict[str, tuple[str, Callable[[np.ndarray], None], tuple[str, str]]] 
         lambda a: a.__setitem__((32, 0, 1), a[32, 0, 1] + 3),
         ("V412", "hextree/blocks"),
     ),
+    "a cluster of nine": (
+        "scene/cluster_start",
+        lambda a: a.__setitem__(5, a[5] + 1),
+        ("V413", "scene/cluster_start"),
+    ),
+    "faces of two clusters swapped": (
+        "scene/face",
+        lambda a: _swap(a, 0, len(a) - 1),
+        ("V413", "scene/cluster_nodes"),
+    ),
+    **{
+        f"a node too small: {node}": (
+            "scene/cluster_nodes",
+            lambda a, node=node, side=side: a.__setitem__((node, side), a[node].mean()),
+            ("V413", "scene/cluster_nodes"),
+        )
+        # The last nodes are the root and the level below it.
+        for node, side in ((0, 0), (11, 4), (-3, 2), (-2, 3), (-1, 5))
+    },
+    "a caster without segments": (
+        "clamp/segment_start",
+        lambda a: a.__setitem__((1, 2), a[1, 1]),
+        ("V414", "clamp/segment_start"),
+    ),
 }
 
 
@@ -468,14 +544,52 @@ def test_a_wrong_tree_is_named_and_nothing_else(name: str, spheres: Path, tmp_pa
     assert {p.code for p in problems} == {expected[0]}
 
 
+def _read(path: Path, *names: str) -> list[np.ndarray]:
+    with h5py.File(path, locking=False) as file:
+        return [file[name][...] for name in names]
+
+
+@pytest.mark.parametrize("name", ["scene/object_nodes", "scene/cluster_nodes"])
+def test_a_missing_or_additional_node_is_named(name: str, spheres: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copy(spheres, tmp_path))
+    (nodes,) = _read(copy, name)
+    for wrong in (nodes[:-1], np.vstack((nodes, nodes[-1:])), nodes[:0]):
+        rewrite(copy, **{name: wrong})
+        (problem,) = verify(copy)
+        assert (problem.code, problem.where) == ("V413", name)
+        assert problem.message == f"expected {len(nodes)} nodes, got {len(wrong)}"
+
+
+def test_nine_segments_of_a_caster_are_named(copy: Path) -> None:
+    names = ("lights/segment_start", "clamp/segment_start", "clamp/depth", "clamp/slope")
+    light_start, start, depth, slope = _read(copy, *names)
+    more = np.column_stack((np.arange(1.0, 8.0), np.arange(1.5, 8.0)))
+    for n, codes in ((6, []), (7, ["V414"])):  # after two that it has
+        wider = dict(
+            zip(
+                names,
+                (
+                    light_start + np.array([0, n, n], np.uint32),
+                    start + np.array([[0, n, n], [0, 0, 0]], np.uint32),
+                    np.insert(depth, [2] * n, more[:n].astype(np.float32), axis=0),
+                    np.insert(slope, [2] * n, 0, axis=0),
+                ),
+                strict=True,
+            )
+        )
+        rewrite(copy, **wider)
+        assert [p.code for p in verify(copy)] == codes
+
+
 def test_random_values_in_trees_raise_nothing(spheres: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     copy = Path(shutil.copy(spheres, tmp_path))
-    names = [s.path for s in schema.DATASETS if s.path.startswith(("index", "cones", "hextree"))]
+    groups = ("index/", "cones/", "hextree/", "scene/", "lights/", "clamp/")
+    names = [s.path for s in schema.DATASETS if s.path.startswith(groups)]
     names += ["edges/half_edges", "edges/flags", "planes/face"]
     with h5py.File(copy, locking=False) as file:
         original = {name: file[name][...] for name in names}
-    for _ in range(60):
+    for _ in range(90):
         name = names[rng.integers(len(names))]
         array = original[name].copy()
         raw = array.view(np.uint8).reshape(-1)
@@ -540,18 +654,19 @@ def make_split() -> Prepared:
     normal = np.cross(b - a, c - a)
     planes = np.column_stack([normal, -(normal * a).sum(1)])
     empty = np.zeros(0, np.uint32)
+    fan = replace(
+        mesh,
+        positions=positions,
+        faces=faces,
+        object_vertex_start=np.array([0, 5]),
+        object_face_start=np.array([0, 3]),
+        source_face=np.arange(3, dtype=np.uint32),
+    )
     return replace(
         sample,
         object_names=("fan",),
         object_source=np.zeros(1, np.uint32),
-        mesh=replace(
-            mesh,
-            positions=positions,
-            faces=faces,
-            object_vertex_start=np.array([0, 5]),
-            object_face_start=np.array([0, 3]),
-            source_face=np.arange(3, dtype=np.uint32),
-        ),
+        mesh=fan,
         components=replace(
             sample.components,
             object_start=np.array([0, 2]),
@@ -562,6 +677,8 @@ def make_split() -> Prepared:
         planes=replace(sample.planes, planes=planes, plane_of_face=np.arange(3, dtype=np.uint32)),
         edges=replace(sample.edges, rows=rows, flags=np.array([2, 1, 1, 1, 1, 2, 1, 1], np.uint8)),
         index=no_trees(),
+        scene=one_cluster_each(fan),
+        clamp=no_lights(2),
         repair=replace(
             sample.repair,
             defect_counts=sample.repair.defect_counts[:1] * np.uint32(0),

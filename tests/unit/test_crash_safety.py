@@ -12,6 +12,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event
 from pathlib import Path
@@ -19,14 +20,17 @@ from pathlib import Path
 import pytest
 
 from svprep.cache import files
-from svprep.cache.reader import open_cache
+from svprep.cache.codec import Raw, clamp_datasets
+from svprep.cache.reader import Cache, open_cache
 from svprep.cache.verify import verify
-from svprep.cache.writer import WRITE_POINTS, write_cache
+from svprep.cache.writer import WRITE_POINTS, rewrite_cache, write_cache
 from svprep.errors import CacheError, EnvironmentProblem, SvprepError
-from tests.unit.cache_samples import assert_same, strip_and_tetrahedron
+from tests.unit.cache_samples import assert_same, no_lights, strip_and_tetrahedron
 
 OLD = strip_and_tetrahedron()
 NEW = strip_and_tetrahedron(shift_m=1.0)
+DARK = replace(OLD, clamp=no_lights(2))
+"""The old city with other lights: none."""
 
 # One server process, free of threads, that every child is forked from.
 CONTEXT = multiprocessing.get_context("forkserver")
@@ -78,6 +82,58 @@ def test_killed_at_each_write_point(point: str, old: Path) -> None:
         assert old.read_bytes() == before
     # The dead writer's lock does not hold, and the next writer removes what it left.
     write_cache(NEW, old)
+    assert names_in(old.parent) == [old.name]
+
+
+def without_lights(cache: Cache) -> dict[str, Raw]:
+    assert_same(cache.prepared(), OLD)
+    return clamp_datasets(no_lights(cache.n_components))
+
+
+def rewrite_and_die(path: Path, point: str) -> None:
+    def checkpoint(name: str) -> None:
+        if name == point:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    rewrite_cache(path, without_lights, checkpoint=checkpoint)
+
+
+@pytest.mark.parametrize("point", WRITE_POINTS)
+def test_killed_at_each_write_point_of_other_lights(point: str, old: Path) -> None:
+    before = old.read_bytes()
+    assert finish(in_child(rewrite_and_die, old, point)) == -signal.SIGKILL
+    is_replaced = WRITE_POINTS.index(point) >= WRITE_POINTS.index("renamed")
+    assert verify(old) == []
+    with open_cache(old) as cache:
+        assert_same(cache.prepared(), DARK if is_replaced else OLD)
+    if not is_replaced:
+        assert old.read_bytes() == before
+        rewrite_cache(old, without_lights)
+    # The same, to the byte, as if it had been written so at first.
+    rewritten = old.read_bytes()
+    write_cache(DARK, old)
+    assert old.read_bytes() == rewritten
+    assert names_in(old.parent) == [old.name]
+
+
+def test_rewriting_passes_every_write_point_in_order(old: Path) -> None:
+    passed: list[str] = []
+    rewrite_cache(old, without_lights, checkpoint=passed.append)
+    assert tuple(passed) == WRITE_POINTS
+
+
+def test_a_change_that_fails_leaves_the_old_cache(old: Path) -> None:
+    before = old.read_bytes()
+
+    def fail(cache: Cache) -> dict[str, Raw]:
+        raise Interrupt
+
+    with pytest.raises(Interrupt):
+        rewrite_cache(old, fail)
+    assert old.read_bytes() == before
+    assert names_in(old.parent) == [old.name]
+    with pytest.raises(CacheError, match="no such file"):
+        rewrite_cache(old.with_name("none.svp.h5"), without_lights)
     assert names_in(old.parent) == [old.name]
 
 
@@ -288,6 +344,8 @@ def test_a_second_writer_is_told_or_waits(old: Path) -> None:
             write_cache(OLD, old, lock_wait_s=wait_s)
         assert str(old) in str(caught.value)
         assert "\n" not in str(caught.value)
+    with pytest.raises(CacheError, match=rf"process {child.pid} is writing it"):
+        rewrite_cache(old, without_lights)
     # Being told harms nothing: the first writer's temporary is still there.
     assert len(names_in(old.parent)) == 3
     go_on.set()

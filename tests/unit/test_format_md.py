@@ -20,6 +20,7 @@ from svprep import __version__, pipeline
 from svprep.cache.codec import encode_datasets
 from svprep.cache.schema import ATTRIBUTES, DATASETS
 from svprep.cache.writer import write_cache
+from svprep.clamp import ClampCosts
 from svprep.defects import DEFECTS
 from svprep.facing import facing
 from svprep.ingest import read
@@ -30,8 +31,10 @@ from tests.unit.cache_samples import strip_and_tetrahedron, two_spheres
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "FORMAT.md").read_text(encoding="utf-8")
-SILHOUETTES, SEARCH, READER = re.findall(r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
-"""The three blocks of code."""
+SILHOUETTES, SEARCH, SEGMENTS, READER = re.findall(
+    r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL
+)
+"""The four blocks of code."""
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +70,7 @@ def test_the_reader_is_short_and_needs_only_h5py_and_numpy(reader: Path) -> None
     assert len(code.splitlines()) < 150
     assert len(SILHOUETTES.splitlines()) <= 20
     assert len(SEARCH.splitlines()) <= 45
+    assert len(SEGMENTS.splitlines()) <= 20
     imported = set(re.findall(r"^\s*(?:import|from) (\w+)", code, re.MULTILINE))
     assert imported <= {"h5py", "numpy"} | sys.stdlib_module_names
 
@@ -140,9 +144,9 @@ def test_the_reader_answers_misuse_in_one_line(reader: Path, tmp_path: Path) -> 
 
 
 def code_of_format_md() -> dict[str, Any]:
-    """Return what FORMAT.md's three blocks of code define."""
+    """Return what FORMAT.md's blocks of code define."""
     names: dict[str, Any] = {"__name__": "reader"}
-    exec(READER + SILHOUETTES + SEARCH, names)
+    exec(READER + SILHOUETTES + SEARCH + SEGMENTS, names)
     return names
 
 
@@ -297,3 +301,27 @@ def test_the_test_of_cones_decides_only_what_is_decided() -> None:
                 n_decided += int(is_decided.sum())
     assert base == len(index.cones.blocks)
     assert n_decided > 1000
+
+
+def test_the_reader_tells_what_lies_in_a_segment(tmp_path: Path) -> None:
+    # A box floats 10 m over a wide floor: its shadow can be seen on itself and on the floor.
+    floor = "v -50 -50 0\nv 50 -50 0\nv 50 50 0\nv -50 50 0\nf 1 2 3 4\n"
+    corners = "".join(f"v {x} {y} {z}\n" for z in (10, 11) for y in (0, 1) for x in (0, 1))
+    sides = ("5 7 8 6", "9 10 12 11", "5 6 10 9", "8 7 11 12", "6 8 12 10", "7 5 9 11")
+    model = tmp_path / "floor.obj"
+    model.write_text(f"o floor\n{floor}o box\n{corners}" + "".join(f"f {s}\n" for s in sides))
+    path = tmp_path / "floor.svp.h5"
+    lights = ["dir:0,90", "dir:90,30", "point:0.5,0.5,20.5"]
+    pipeline.build([model], path, lights=lights, costs=ClampCosts(vertex=0.0))
+    names = code_of_format_md()
+    attributes, data = names["read_file"](path)
+    inside = names["lies_in_a_segment"]
+    for light, along in enumerate([(0, 0, -1), (-np.sqrt(3) / 2, 0, -0.5), (0, 0, -1)]):
+        top = np.array([0.5, 0.5, 11.0]) - attributes["grid_origin_m"]
+        on_floor, on_box = 11 / -along[2], 0.9
+        for far, expected in ((0.0, True), (on_box, True), (5.0, False), (on_floor, True)):
+            point = top + far * np.array(along)
+            assert inside(data, light, 1, top, point) is expected, (light, far)
+        below = top + (on_floor + 3.0) * np.array(along)
+        assert inside(data, light, 1, top, below) is False
+        assert inside(data, light, 0, top, top) is True  # the floor's own first segment

@@ -1,0 +1,87 @@
+"""What a table of sun hours must say of itself, once, for CSV, PLY and JSON alike."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import numpy as np
+
+from svprep import __version__
+from svprep.hours.buried import Burial
+from svprep.hours.surfaces import RULES, SIDES
+from svprep.report import total_counts
+
+if TYPE_CHECKING:
+    from svprep.cache.reader import Cache
+    from svprep.hours.result import SunHours
+    from svprep.model import BOOL, Prepared
+
+TITLE: Final = "svprep sun hours 1"
+"""The layout of a CSV or PLY file, and its version."""
+
+
+def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
+    """Return what explains the numbers of `hours`, in a fixed order: JSON values only.
+
+    Nothing in it depends on the clock, on the number of threads or on where the cache lies.
+    """
+    arc = hours.arc
+    # It reads the repair record and nothing else.
+    findings = total_counts(cast("Prepared", cache))
+    burial = hours.points.burial
+    convergence = arc.convergence_deg
+    return {
+        "svprep": __version__,
+        "cache": cache.path.name,
+        "cache content digest": hours.digest,
+        "coordinate reference system": cache.crs or "not stated",
+        "light": arc.spec,
+        "latitude": arc.latitude_deg,
+        "longitude": arc.longitude_deg,
+        "zone": arc.zone,
+        "date": arc.date.isoformat(),
+        "begin": arc.begin.isoformat(),
+        "end": arc.end.isoformat(),
+        "step minutes": arc.step_minutes,
+        "steps": arc.n_steps,
+        "night steps skipped": arc.n_night,
+        "meridian convergence degrees": (
+            "grid north taken as true north (no CRS)" if convergence is None else convergence
+        ),
+        "sample spacing metres": hours.spacing_m,
+        "ray offset metres": hours.offset_m,
+        "grid step metres": cache.grid.step_m,
+        "samples": hours.n_samples,
+        "samples buried in solids": _count(burial == Burial.IN_SOLID),
+        "samples buried under the ground": _count(burial == Burial.UNDER_GROUND),
+        "samples on surfaces that are not solid": _count(~hours.is_on_solid),
+        "repair findings": findings,
+        "side that counts": SIDES,
+        "kinds": RULES,
+        "sunlit": (
+            "the sun is strictly in front of the face and the segment to its centre meets no face; "
+            "each lit step counts step minutes"
+        ),
+        "atmosphere": "refraction is included; weather and terrain beyond the model are not",
+    }
+
+
+def _count(chosen: BOOL) -> int:
+    return int(np.count_nonzero(chosen))
+
+
+def fact_lines(facts: dict[str, Any]) -> list[str]:
+    """Return facts as ``key: value``, one printable line each."""
+    lines = []
+    for key, value in facts.items():
+        if isinstance(value, dict):
+            value = ", ".join(f"{name} {count}" for name, count in value.items()) or "none"
+        lines.append(_one_line(f"{key}: {value}"))
+    return lines
+
+
+def _one_line(text: str) -> str:
+    """Return `text` with everything escaped that would end a line or is no Unicode."""
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
+    )

@@ -1,0 +1,266 @@
+r"""Continuous clamping: where along the light a caster's shadow can be received.
+
+    sun
+      \ \ \ \   caster                         front to back along the light:
+       \ \ \ +-----+                           the caster itself, with what lies
+        \ \ \|     |                           close behind it: its own segment
+              \ own \
+               \- - -\                         a gap: nothing is there to be
+                \ gap \                        seen in shadow
+         - - - - \- - -\- - -  near
+        ~~~~~~~~~~\~~~~~\~~~~~ ground          then the ground: between two planes
+         - - - - - \- - -\- -  far             parallel to it
+
+For each caster: the clusters that overlap its rectangle across the light and reach
+behind its front are its receivers; each is worth an interval of depth, as far as
+its box and its slab tell within the caster's rectangle. The intervals are merged
+front to back; a gap stays where ``V < R``: two more caps cost less than the sides
+across the gap (Lloyd et al. 2004; Steiner 2006). Then each run of intervals may end,
+and every one but the first begin, on a slanted plane instead of at a depth: tried are the
+horizontal one and the slab of the deepest receiver, kept is the smallest surface.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+MOST_SEGMENTS = 8
+"""Of one caster and light."""
+SLOPE_UNIT = 512.0
+"""Slopes are int16, in units of 1 / 512."""
+_MOST_SLOPE = 60.0
+_STACK = 1024
+_FAR = 1e300
+
+_helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+@_helper
+def _receivers(blocks, level_start, n_levels, u0, u1, v0, v1, t0, stack, found):
+    """Write the clusters whose boxes overlap the rectangle and reach behind t0; count them."""
+    n = 0
+    stack[0] = level_start[n_levels - 1] * 32 + n_levels - 1
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        level = stack[depth] % 32
+        block = stack[depth] // 32
+        bits = 0
+        for k in range(8):
+            inside = (
+                (blocks[block, 0, k] <= u1)
+                & (blocks[block, 1, k] >= u0)
+                & (blocks[block, 2, k] <= v1)
+                & (blocks[block, 3, k] >= v0)
+                & (blocks[block, 4, k] >= t0)
+            )
+            bits |= np.int64(inside) << k
+        if level == 0:
+            first = 8 * block
+            while bits:
+                if bits & 1:
+                    found[n] = first
+                    n += 1
+                bits >>= 1
+                first += 1
+        else:
+            child = level_start[level - 1] + 8 * (block - level_start[level])
+            while bits:
+                if bits & 1:
+                    stack[depth] = child * 32 + level - 1
+                    depth += 1
+                bits >>= 1
+                child += 1
+    return n
+
+
+@_helper
+def _overlap(blocks, slabs, j, rectangle, part):
+    """Write what a trial needs of cluster j: its overlap with the rectangle, box and slab.
+
+    ``u0, u1, v0, v1`` of the overlap, and the slab ``su, sv, lo, hi``, count from the
+    rectangle's middle; then the box's least and most depth.
+    """
+    block, lane = j // 8, j % 8
+    mid_u = 0.5 * (rectangle[0] + rectangle[1])
+    mid_v = 0.5 * (rectangle[2] + rectangle[3])
+    part[0] = max(rectangle[0], np.float64(blocks[block, 0, lane])) - mid_u
+    part[1] = min(rectangle[1], np.float64(blocks[block, 1, lane])) - mid_u
+    part[2] = max(rectangle[2], np.float64(blocks[block, 2, lane])) - mid_v
+    part[3] = min(rectangle[3], np.float64(blocks[block, 3, lane])) - mid_v
+    middle = slabs[j, 0] * mid_u + slabs[j, 1] * mid_v
+    part[4], part[5] = slabs[j, 0], slabs[j, 1]
+    part[6], part[7] = slabs[j, 2] + middle, slabs[j, 3] + middle
+    part[8], part[9] = slabs[j, 4], np.float64(blocks[block, 4, lane])
+
+
+@_helper
+def _spread(part, su, sv):
+    """Return the least and most ``t - su u - sv v`` of a receiver within the rectangle.
+
+    Of two bounds, by its slab and by its box, the narrower one holds.
+    """
+    u0, u1, v0, v1 = part[0], part[1], part[2], part[3]
+    du, dv = part[4] - su, part[5] - sv
+    low = part[6] + min(du * u0, du * u1) + min(dv * v0, dv * v1)
+    high = part[7] + max(du * u0, du * u1) + max(dv * v0, dv * v1)
+    least = part[8] - max(su * u0, su * u1) - max(sv * v0, sv * v1)
+    most = part[9] - min(su * u0, su * u1) - min(sv * v0, sv * v1)
+    return max(low, least), min(high, most)
+
+
+@_helper
+def _sort(near, far, found, n):
+    """Sort the first n intervals by where they begin (Shell 1959: no recursion, no memory)."""
+    gap = 1
+    while gap < n // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, n):
+            a, b, j = near[i], far[i], found[i]
+            k = i
+            while k >= gap and near[k - gap] > a:
+                near[k], far[k], found[k] = near[k - gap], far[k - gap], found[k - gap]
+                k -= gap
+            near[k], far[k], found[k] = a, b, j
+        gap //= 3
+
+
+@_helper
+def _slope(value):
+    """Return a slope as it will be stored, int16 in units of 1 / 512, as a float."""
+    return math.floor(min(max(value, -_MOST_SLOPE), _MOST_SLOPE) * SLOPE_UNIT + 0.5) / SLOPE_UNIT
+
+
+@_helper
+def _deepest(parts, found, begin, end):
+    """Return the slab's slopes of the receiver that lies deepest nearest to the middle."""
+    best, su, sv = -_FAR, 0.0, 0.0
+    for i in range(begin, end):
+        part = parts[found[i]]
+        u = min(max(0.0, part[0]), part[1])
+        v = min(max(0.0, part[2]), part[3])
+        at = min(part[7] + part[4] * u + part[5] * v, part[9])
+        if at > best:
+            best, su, sv = at, part[4], part[5]
+    return su, sv
+
+
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+def clamp_casters(
+    boxes, face_start, blocks, slabs, level_start, n_levels, horizon, costs, exit_depth, first,
+    last, counts, depths, slopes, areas,
+):  # fmt: skip
+    """Write the segments of the casters ``first .. last - 1`` of a directional light.
+
+    Parameters
+    ----------
+    boxes : ndarray
+        ``(n_casters, 6) float64`` [m]: of casters in the light's frame.
+    face_start : ndarray
+        ``(n_casters + 1,) int64``
+    blocks, slabs, level_start, n_levels
+        The tree over clusters (`kernels.light_boxes`).
+    horizon : ndarray
+        ``(2,) float64``: slopes of a horizontal plane, 0 where it would be too steep.
+    costs : ndarray
+        ``(2,) float64``: of a vertex drawn, and of a square metre of side or cap.
+    exit_depth : float
+        [m]: where the whole scene ends; there an unclamped volume is counted to end.
+    counts : ndarray
+        ``(last - first,) uint32``: segments of each caster, to be written.
+    depths, slopes : ndarray
+        ``(m, 2) float32`` and ``(m, 2) int16``, m at least ``8 (last - first)``: near and
+        far, and slopes along u and v, of all segments one after the other.
+    areas : ndarray
+        ``(3,) float64`` [m^2]: surfaces are added: unclamped, of each caster's box
+        alone, and clamped.
+
+    Returns
+    -------
+    int
+        Segments written.
+    """
+    stack = np.empty(_STACK, np.int64)
+    n_clusters = len(slabs)
+    found = np.empty(n_clusters, np.int64)
+    begin = np.empty(n_clusters, np.float64)
+    end = np.empty(n_clusters, np.float64)
+    parts = np.empty((n_clusters, 10), np.float64)
+    rectangle = np.empty(4, np.float64)
+    n_written = 0
+    for c in range(first, last):
+        for k in range(4):
+            rectangle[k] = boxes[c, k]
+        front, back = boxes[c, 4], boxes[c, 5]
+        width, height = rectangle[1] - rectangle[0], rectangle[3] - rectangle[2]
+        mid_u, mid_v = rectangle[0] + 0.5 * width, rectangle[2] + 0.5 * height
+        rim, cap = 2.0 * (width + height), width * height
+        areas[0] += rim * (exit_depth - front) + 2.0 * cap
+        areas[1] += rim * (back - front) + 2.0 * cap
+        n_found = _receivers(
+            blocks, level_start, n_levels,
+            np.float32(rectangle[0]), np.float32(rectangle[1]),
+            np.float32(rectangle[2]), np.float32(rectangle[3]),
+            np.float32(front), stack, found,
+        )  # fmt: skip
+        n = 0
+        for i in range(n_found):
+            _overlap(blocks, slabs, found[i], rectangle, parts[n])
+            low, high = _spread(parts[n], 0.0, 0.0)
+            if high >= front and low <= high:
+                begin[n], end[n], found[n] = low, high, n
+                n += 1
+        _sort(begin, end, found, n)
+        cost_of_split = costs[0] * 6.0 * (face_start[c + 1] - face_start[c])
+        n_segments, i, reach = 0, 0, back
+        while True:
+            start = i
+            while i < n:
+                gap = begin[i] - reach
+                saved = costs[1] * (rim * gap - 2.0 * cap)
+                if gap > 0.0 and n_segments < MOST_SEGMENTS - 1 and cost_of_split < saved:
+                    break
+                reach = max(reach, end[i])
+                i += 1
+            near, far, slope_u, slope_v = front, reach, 0.0, 0.0
+            if n_segments > 0:
+                near = begin[start]
+            surface = rim * (far - near) + 2.0 * cap
+            for trial in range(2 if i > start else 0):
+                su, sv = horizon[0], horizon[1]
+                if trial == 1:
+                    su, sv = _deepest(parts, found, start, i)
+                su, sv = _slope(su), _slope(sv)
+                low, high = _FAR, -_FAR
+                for k in range(start, i):
+                    a, b = _spread(parts[found[k]], su, sv)
+                    low, high = min(low, a), max(high, b)
+                slanted = cap * math.sqrt(1.0 + su * su + sv * sv)
+                if n_segments == 0:
+                    tried = rim * (high - front) + cap + slanted
+                else:
+                    tried = rim * (high - low) + 2.0 * slanted
+                if tried < surface:
+                    surface, far, slope_u, slope_v = tried, high, su, sv
+                    near = front if n_segments == 0 else low
+            areas[2] += surface
+            at = slope_u * mid_u + slope_v * mid_v
+            if n_segments == 0:
+                # Parallel to its end, and nowhere behind the caster's front.
+                near = front - 0.5 * (abs(slope_u) * width + abs(slope_v) * height)
+            near, far = near - at, far - at
+            depths[n_written, 0] = near - 1.2e-7 * abs(near)
+            depths[n_written, 1] = far + 1.2e-7 * abs(far)
+            slopes[n_written, 0] = np.int16(slope_u * SLOPE_UNIT)
+            slopes[n_written, 1] = np.int16(slope_v * SLOPE_UNIT)
+            n_written += 1
+            n_segments += 1
+            if i >= n:
+                break
+            reach = end[i]
+        counts[c - first] = n_segments
+    return n_written
