@@ -20,10 +20,16 @@ import numpy as np
 
 from svprep.errors import InputError, first_few
 from svprep.kernels.clamping import MOST_SEGMENTS, clamp_casters
-from svprep.kernels.light_boxes import bound_casters, bound_clusters, place_vertices, raise_levels
+from svprep.kernels.light_boxes import (
+    bound_casters,
+    bound_clusters,
+    choose_normals,
+    place_vertices,
+    raise_levels,
+)
 from svprep.kernels.point_clamping import bound_clusters_in_views, clamp_casters_in_views
 from svprep.light import Light
-from svprep.model import F32, F64, I16, I64, U32, ClampTable, Components, Mesh, SceneTree
+from svprep.model import F32, F64, I16, I64, U32, ClampTable, Components, Grid, Mesh, SceneTree
 from svprep.parallel import run_together, thread_count
 from svprep.scene_tree import level_starts
 from svprep.silhouette.tables import read_only
@@ -142,6 +148,14 @@ def clamp_lights(
     )
 
 
+def distinct(lights: Sequence[Light], grid: Grid) -> dict[bytes, Light]:
+    """Return each light once, by its four numbers in the cache frame, in order."""
+    found: dict[bytes, Light] = {}
+    for light in lights:
+        found.setdefault(light.in_cache_frame(grid).tobytes(), light)
+    return found
+
+
 def joined(first: ClampTable, second: ClampTable) -> ClampTable:
     """Return the lights of `first`, then those of `second`: tables of the same casters."""
     return ClampTable(
@@ -204,42 +218,29 @@ class _Clamped:
 
 
 def _scene(mesh: Mesh, components: Components, scene: SceneTree) -> _Scene:
-    corners = mesh.faces.take(scene.faces, axis=0)
-    reach = float(np.abs(mesh.positions).max()) * math.sqrt(3.0)
     # Read-only, from a build as from a cache: Numba compiles anew for another kind.
+    positions, start = read_only(mesh.positions), read_only(scene.cluster_start)
+    corners = mesh.faces.take(scene.faces, axis=0)
+    normals = np.zeros((len(start) - 1, 3), np.float32)
+    _share(len(normals), lambda a, b: choose_normals(positions, corners, start, a, b, normals))
+    reach = float(np.abs(positions).max()) * math.sqrt(3.0)
     return _Scene(
-        positions=read_only(mesh.positions),
+        positions=positions,
         faces=read_only(mesh.faces),
         face_start=read_only(components.face_start),
         corners=corners,
-        cluster_start=read_only(scene.cluster_start),
-        normals=_cluster_normals(mesh.positions, corners, scene.cluster_start),
-        levels=level_starts(len(scene.cluster_start) - 1),
+        cluster_start=start,
+        normals=normals,
+        levels=level_starts(len(start) - 1),
         pad_m=max(_LEAST_PAD_M, 1e-6 * reach),
     )
-
-
-def _cluster_normals(positions: F32, corners: U32, start: I64) -> F32:
-    """Return the unit normal of the largest face of each cluster, the first if several are."""
-    a, b, c = (positions.take(corners[:, i], axis=0) for i in range(3))
-    normals = np.cross(b - a, c - a)
-    area2 = np.einsum("ij,ij->i", normals, normals)
-    sizes = np.diff(start)
-    is_largest = area2 == np.repeat(np.maximum.reduceat(area2, start[:-1]), sizes)
-    largest = np.flatnonzero(is_largest)
-    cluster = np.repeat(np.arange(len(sizes)), sizes)[largest]
-    first = np.ones(len(cluster), np.bool_)
-    first[1:] = cluster[1:] != cluster[:-1]
-    chosen = normals[largest[first]]
-    length = np.sqrt(area2[largest[first]])
-    # A sliver whose area float32 cannot tell from nothing has no slab worth having.
-    return (chosen / np.maximum(length, np.float32(1e-30))[:, None]).astype(np.float32)
 
 
 def _check_off_vertices(light: Light, vector: F32, mesh: Mesh) -> None:
     if vector[3] == 0.0:
         return
-    at = np.flatnonzero((mesh.positions == vector[:3]).all(axis=1))
+    near = np.flatnonzero(mesh.positions[:, 0] == vector[0])
+    at = near[(mesh.positions[near] == vector[:3]).all(axis=1)]
     if len(at):
         objects = np.searchsorted(mesh.object_vertex_start, at, side="right") - 1
         raise InputError(
@@ -278,8 +279,9 @@ def _clamp_sun(scene: _Scene, vector: F32, costs: ClampCosts) -> _Clamped:
     def work(a: int, b: int, counts: U32, depths: F32, slopes: I16, areas: F64) -> int:
         return int(
             clamp_casters(
-                boxes, start, blocks, slabs, levels, len(levels) - 1, horizon, prices,
-                exit_depth, a, b, counts, depths, slopes, areas,
+                boxes, start, placed, scene.corners, scene.cluster_start, blocks, slabs, levels,
+                len(levels) - 1, horizon, pad, prices, exit_depth, a, b, counts, depths, slopes,
+                areas,
             )
         )  # fmt: skip
 
@@ -301,7 +303,7 @@ def _clamp_point(scene: _Scene, vector: F32, costs: ClampCosts) -> _Clamped:
     for view in blocks:
         raise_levels(levels, len(levels) - 1, scene.n_clusters, view)
     low, high = positions.min(axis=0), positions.max(axis=0)
-    away = np.maximum(np.abs(low - vector[:3]), np.abs(high - vector[:3])).astype(np.float64)
+    away = np.abs(np.stack([low, high]) - vector[:3].astype(np.float64)).max(axis=0)
     exit_distance = float(np.linalg.norm(away))
     prices = np.array([costs.vertex, costs.area])
 

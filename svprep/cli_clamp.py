@@ -114,7 +114,7 @@ def add_lines(summary: dict[str, Any]) -> list[str]:
     if summary["replaced"]:
         parts.append(f"{summary['replaced']} of before replaced, with other costs")
     if summary["already_there"]:
-        parts.append(f"{summary['already_there']} already there")
+        parts.append(f"{summary['already_there']} already there or named twice")
     return [
         f"cache    {summary['cache']} ({summary['n_bytes']:,} bytes)",
         f"lights   {', '.join(parts)}; it holds {summary['lights']} now, "

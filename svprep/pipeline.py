@@ -12,7 +12,7 @@ from svprep.cache.codec import Raw, clamp_datasets
 from svprep.cache.files import resolve_target
 from svprep.cache.reader import Cache, open_cache
 from svprep.cache.writer import CacheSummary, rewrite_cache, write_cache
-from svprep.clamp import ClampCosts, LightHook, clamp_lights, joined, selected
+from svprep.clamp import ClampCosts, LightHook, clamp_lights, distinct, joined, selected
 from svprep.edges import build_edges
 from svprep.errors import InputError
 from svprep.ingest import read
@@ -152,7 +152,8 @@ def prepare(
     stage("scene tree")
     scene = build_scene_tree(repaired.mesh)
     stage("clamp")
-    clamp = clamp_lights(repaired.mesh, components, scene, lights, costs)
+    once = list(distinct(lights, repaired.mesh.grid).values())
+    clamp = clamp_lights(repaired.mesh, components, scene, once, costs)
     return Prepared(
         sources=source.sources,
         object_names=source.object_names,
@@ -260,13 +261,12 @@ def _lights_to_add(
     held = {table.lights[i].tobytes(): i for i in range(len(table))}
     wanted: dict[bytes, Light] = {}
     dropped: set[int] = set()
-    for light in lights:
-        key = light.in_cache_frame(cache.grid).tobytes()
+    for key, light in distinct(lights, cache.grid).items():
         if (i := held.get(key)) is not None:
             if table.facts[i, :2].tolist() == [costs.vertex, costs.area]:
                 continue
             dropped.add(i)
-        wanted.setdefault(key, light)
+        wanted[key] = light
     return list(wanted.values()), [i for i in range(len(table)) if i not in dropped]
 
 

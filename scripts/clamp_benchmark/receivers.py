@@ -126,8 +126,9 @@ def whole_objects(lit: LitScene, scene: SceneTree, face_start: I64, costs: Clamp
         depths = np.empty((MOST_SEGMENTS * (b - a), 2), np.float32)
         slopes = np.empty((MOST_SEGMENTS * (b - a), 2), np.int16)
         k = clamp_casters(
-            boxes, face_start, blocks, slabs, levels, len(levels) - 1, np.zeros(2), prices,
-            exit_depth, a, b, counts, depths, slopes, np.zeros(3),
+            boxes, face_start, lit.placed, np.empty((0, 3), np.uint32), leaf_start, blocks, slabs,
+            levels, len(levels) - 1, np.zeros(2), lit.pad_m, prices, exit_depth, a, b, counts,
+            depths, slopes, np.zeros(3),
         )  # fmt: skip
         parts[part] = counts, depths[:k].copy(), slopes[:k] / SLOPE_UNIT
 

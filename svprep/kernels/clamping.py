@@ -18,6 +18,9 @@ front to back; a gap stays where ``V < R``: two more caps cost less than the sid
 across the gap (Lloyd et al. 2004; Steiner 2006). Then each run of intervals may end,
 and every one but the first begin, on a slanted plane instead of at a depth: tried are the
 horizontal one and the slab of the deepest receiver, kept is the smallest surface.
+
+At last, where a segment is large, the receiver that its far end lies on is cut to the
+rectangle, face by face, and so on with the next one, until the end lies on a face.
 """
 
 from __future__ import annotations
@@ -34,6 +37,9 @@ SLOPE_UNIT = 512.0
 _MOST_SLOPE = 60.0
 _STACK = 1024
 _FAR = 1e300
+_WORTH_CUTTING = 200.0
+"""[m^2]: surface of a segment from which on its receivers are cut."""
+_MOST_CUTS = 32
 
 _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
@@ -149,10 +155,65 @@ def _deepest(parts, found, begin, end):
     return su, sv
 
 
+@_helper
+def _cut(polygon, n, other, i, sign, limit):
+    """Write the part of a polygon where ``sign * coordinate i <= limit``; return its corners."""
+    count = 0
+    for k in range(n):
+        j = k + 1 if k + 1 < n else 0
+        here = limit - sign * polygon[k, i]
+        there = limit - sign * polygon[j, i]
+        if here >= 0.0:
+            for d in range(3):
+                other[count, d] = polygon[k, d]
+            count += 1
+        if (here > 0.0 and there < 0.0) or (here < 0.0 and there > 0.0):
+            share = here / (here - there)
+            for d in range(3):
+                other[count, d] = polygon[k, d] + share * (polygon[j, d] - polygon[k, d])
+            count += 1
+    return count
+
+
+@_helper
+def _deepest_of_faces(
+    placed, corners, cluster_start, cluster, rectangle, su, sv, pad, polygon, other
+):
+    """Return the most ``t - su u - sv v`` of a cluster's faces, cut to the rectangle.
+
+    u and v count from its middle. `_spread` bounds it from above.
+    """
+    mid_u = 0.5 * (rectangle[0] + rectangle[1])
+    mid_v = 0.5 * (rectangle[2] + rectangle[3])
+    half_u, half_v = rectangle[1] - mid_u, rectangle[3] - mid_v
+    most = -_FAR
+    for f in range(cluster_start[cluster], cluster_start[cluster + 1]):
+        beyond, outside = 15, 0
+        for k in range(3):
+            p = corners[f, k]
+            u = np.float64(placed[p, 0]) - mid_u
+            v = np.float64(placed[p, 1]) - mid_v
+            polygon[k, 0], polygon[k, 1], polygon[k, 2] = u, v, np.float64(placed[p, 2])
+            side = (u > half_u) | ((u < -half_u) << 1) | ((v > half_v) << 2) | ((v < -half_v) << 3)
+            beyond &= side
+            outside |= side
+        if beyond:
+            continue
+        n = 3
+        if outside:
+            n = _cut(polygon, n, other, 0, 1.0, half_u)
+            n = _cut(other, n, polygon, 0, -1.0, half_u)
+            n = _cut(polygon, n, other, 1, 1.0, half_v)
+            n = _cut(other, n, polygon, 1, -1.0, half_v)
+        for k in range(n):
+            most = max(most, polygon[k, 2] - su * polygon[k, 0] - sv * polygon[k, 1])
+    return most + pad * (1.0 + abs(su) + abs(sv))
+
+
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def clamp_casters(
-    boxes, face_start, blocks, slabs, level_start, n_levels, horizon, costs, exit_depth, first,
-    last, counts, depths, slopes, areas,
+    boxes, face_start, placed, corners, cluster_start, blocks, slabs, level_start, n_levels,
+    horizon, pad, costs, exit_depth, first, last, counts, depths, slopes, areas,
 ):  # fmt: skip
     """Write the segments of the casters ``first .. last - 1`` of a directional light.
 
@@ -162,10 +223,15 @@ def clamp_casters(
         ``(n_casters, 6) float64`` [m]: of casters in the light's frame.
     face_start : ndarray
         ``(n_casters + 1,) int64``
+    placed, corners, cluster_start
+        Vertices in the light's frame, and the faces of clusters (`kernels.light_boxes`);
+        without corners nothing is cut.
     blocks, slabs, level_start, n_levels
         The tree over clusters (`kernels.light_boxes`).
     horizon : ndarray
         ``(2,) float64``: slopes of a horizontal plane, 0 where it would be too steep.
+    pad : float
+        [m]: what bounds were widened by.
     costs : ndarray
         ``(2,) float64``: of a vertex drawn, and of a square metre of side or cap.
     exit_depth : float
@@ -190,6 +256,11 @@ def clamp_casters(
     begin = np.empty(n_clusters, np.float64)
     end = np.empty(n_clusters, np.float64)
     parts = np.empty((n_clusters, 10), np.float64)
+    cluster = np.empty(n_clusters, np.int64)
+    bound = np.empty(n_clusters, np.float64)
+    is_cut = np.empty(n_clusters, np.bool_)
+    polygon = np.empty((10, 3), np.float64)
+    other = np.empty((10, 3), np.float64)
     rectangle = np.empty(4, np.float64)
     n_written = 0
     for c in range(first, last):
@@ -212,6 +283,7 @@ def clamp_casters(
             _overlap(blocks, slabs, found[i], rectangle, parts[n])
             low, high = _spread(parts[n], 0.0, 0.0)
             if high >= front and low <= high:
+                cluster[n] = found[i]
                 begin[n], end[n], found[n] = low, high, n
                 n += 1
         _sort(begin, end, found, n)
@@ -247,12 +319,35 @@ def clamp_casters(
                 if tried < surface:
                     surface, far, slope_u, slope_v = tried, high, su, sv
                     near = front if n_segments == 0 else low
+            if i > start and surface > _WORTH_CUTTING and len(corners) > 0:
+                # Receivers are cut, the deepest one first, until none that is not could be.
+                for k in range(start, i):
+                    _, bound[k] = _spread(parts[found[k]], slope_u, slope_v)
+                    is_cut[k] = False
+                for _ in range(_MOST_CUTS):
+                    at = start
+                    for k in range(start + 1, i):
+                        if bound[k] > bound[at]:
+                            at = k
+                    if is_cut[at]:
+                        break
+                    exact = _deepest_of_faces(
+                        placed, corners, cluster_start, cluster[found[at]], rectangle, slope_u,
+                        slope_v, pad, polygon, other,
+                    )  # fmt: skip
+                    bound[at] = min(bound[at], exact)
+                    is_cut[at] = True
+                deepest = bound[start]
+                for k in range(start + 1, i):
+                    deepest = max(deepest, bound[k])
+                surface -= rim * (far - max(deepest, near))
+                far = max(deepest, near)
             areas[2] += surface
-            at = slope_u * mid_u + slope_v * mid_v
+            shift = slope_u * mid_u + slope_v * mid_v
             if n_segments == 0:
                 # Parallel to its end, and nowhere behind the caster's front.
                 near = front - 0.5 * (abs(slope_u) * width + abs(slope_v) * height)
-            near, far = near - at, far - at
+            near, far = near - shift, far - shift
             depths[n_written, 0] = near - 1.2e-7 * abs(near)
             depths[n_written, 1] = far + 1.2e-7 * abs(far)
             slopes[n_written, 0] = np.int16(slope_u * SLOPE_UNIT)

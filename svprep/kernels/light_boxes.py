@@ -21,6 +21,8 @@ All bounds are widened by what float32 rounds.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -46,6 +48,39 @@ def place_vertices(positions, frame, first, last, placed):
         z = np.float64(positions[i, 2])
         for k in range(3):
             placed[i, k] = np.float32(frame[k, 0] * x + frame[k, 1] * y + frame[k, 2] * z)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+def choose_normals(positions, corners, start, first, last, normals):
+    """Write the unit normal of the largest face, the first if several are, of clusters.
+
+    Parameters
+    ----------
+    positions : ndarray
+        ``(n_vertices, 3) float32`` [m]
+    corners : ndarray
+        ``(n_faces, 3) uint32``: of faces in the order of clusters.
+    start : ndarray
+        ``(n_clusters + 1,) int64``
+    normals : ndarray
+        ``(n_clusters, 3) float32``: rows ``first .. last - 1`` are written.
+    """
+    for i in range(first, last):
+        largest = 0.0
+        for f in range(start[i], start[i + 1]):
+            a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+            ux = np.float64(positions[b, 0]) - np.float64(positions[a, 0])
+            uy = np.float64(positions[b, 1]) - np.float64(positions[a, 1])
+            uz = np.float64(positions[b, 2]) - np.float64(positions[a, 2])
+            vx = np.float64(positions[c, 0]) - np.float64(positions[a, 0])
+            vy = np.float64(positions[c, 1]) - np.float64(positions[a, 1])
+            vz = np.float64(positions[c, 2]) - np.float64(positions[a, 2])
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            area2 = nx * nx + ny * ny + nz * nz
+            if area2 > largest:
+                largest = area2
+                scale = 1.0 / math.sqrt(area2)
+                normals[i, 0], normals[i, 1], normals[i, 2] = nx * scale, ny * scale, nz * scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)

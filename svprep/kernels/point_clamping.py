@@ -21,8 +21,9 @@ import math
 import numpy as np
 from numba import njit
 
-MOST_SEGMENTS = 8
-"""Of one caster and light, as `kernels.clamping.MOST_SEGMENTS`."""
+MOST_SEGMENTS = 3
+"""Of one caster and light. Shadows grow with k, and so does what any gap saves: without a
+bound nearly every gap would stay, and cost more memory than it is worth."""
 _PIECE = 16
 """Faces of a caster that are bounded together: the nearer and farther ones of a large
 caster are clamped apart."""
@@ -319,20 +320,24 @@ def clamp_casters_in_views(
         away = max(exit_distance / distance, 1.0)
         areas[0] += band * (away * away - 1.0) + disc * (1.0 + away * away)
         areas[1] += band * (own * own - 1.0) + disc * (1.0 + own * own)
-        cost_of_split = costs[0] * 6.0 * (end - begin)
+        # Of the gaps with V < R, the two stay that save most.
+        most, second = 0.0, 0.0
+        split, other_split = n, n
+        for i in range(1, n if distance > radius else 1):
+            k0, k1 = math.exp(far[i - 1]), math.exp(near[i])
+            saved = band * (k1 * k1 - k0 * k0) - disc * (k1 * k1 + k0 * k0)
+            if costs[0] * 6.0 * (end - begin) >= costs[1] * saved:
+                continue
+            if saved > most:
+                second, other_split = most, split
+                most, split = saved, i
+            elif saved > second:
+                second, other_split = saved, i
         n_segments, i = 0, 0
         while i < n:
             start = i
             i += 1
-            while i < n:
-                k0, k1 = math.exp(far[i - 1]), math.exp(near[i])
-                saved = band * (k1 * k1 - k0 * k0) - disc * (k1 * k1 + k0 * k0)
-                if (
-                    n_segments < MOST_SEGMENTS - 1
-                    and distance > radius
-                    and cost_of_split < costs[1] * saved
-                ):
-                    break
+            while i < n and i != split and i != other_split:
                 i += 1
             k0, k1 = math.exp(near[start]), math.exp(far[i - 1])
             seen = min(k1, max(away, k0))

@@ -19,12 +19,15 @@ import numpy as np
 from svprep.model import F32, F64, I64, Components, Mesh, SceneTree
 
 MOST_SEGMENTS: Final = 8
+MOST_LAMP_SEGMENTS: Final = 3
 _LEAST_PAD_M: Final = 0.0005
 _LEAST_SINK: Final = 0.02
 _MOST_SLOPE: Final = 60.0
 _SLOPE_UNIT: Final = 512.0
 _PIECE: Final = 16
 _LOG_PAD: Final = 1e-6
+_WORTH_CUTTING: Final = 200.0
+_MOST_CUTS: Final = 32
 
 Box = tuple[float, float, float, float, float, float]
 """``u0, u1, v0, v1, t0, t1``"""
@@ -94,6 +97,9 @@ class _Receiver:
     sv: float
     lo: float
     hi: float
+    corners: F64
+    """``(n, 3, 3)``: of its faces, in light coordinates."""
+    pad: float
 
 
 def _sun_axes(light: F32) -> F64:
@@ -136,12 +142,13 @@ def _of_sun(
 
 def _receiver(points: F32, corners: F64, axes: F64, pad: float) -> _Receiver:
     """Return a cluster's box and slab, from its faces' corners in both frames."""
-    # The largest face by its area in float32, as ties are to be decided alike.
-    normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-    area2 = np.einsum("ij,ij->i", normals, normals)
+    exact = points.astype(np.float64)
+    normals = np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0])
+    x, y, z = normals.T
+    area2 = x * x + y * y + z * z
     chosen = int(area2.argmax())
-    length = np.maximum(np.sqrt(area2[chosen]), np.float32(1e-30))
-    nx, ny, nz = (normals[chosen] / length).astype(np.float64).tolist()
+    scale = 1.0 / math.sqrt(area2[chosen])
+    nx, ny, nz = (normals[chosen] * scale).astype(np.float32).astype(np.float64).tolist()
     along = [nx * a + ny * b + nz * c for a, b, c in axes.tolist()]
     su, sv = 0.0, 0.0
     if abs(along[2]) > _LEAST_SINK:
@@ -152,12 +159,13 @@ def _receiver(points: F32, corners: F64, axes: F64, pad: float) -> _Receiver:
     sides = [u.min() - pad, u.max() + pad, v.min() - pad, v.max() + pad]
     u0, u1, v0, v1 = (float(np.float32(side)) for side in sides)
     box = (u0, u1, v0, v1, float(t.min() - pad), float(np.float32(t.max() + pad)))
-    return _Receiver(box, su, sv, float(slab.min() - reach), float(slab.max() + reach))
+    low, high = float(slab.min() - reach), float(slab.max() + reach)
+    return _Receiver(box, su, sv, low, high, corners, pad)
 
 
 def _is_met(caster: Box, receiver: Box) -> bool:
     """Whether a receiver overlaps a caster's rectangle and reaches behind its front."""
-    u0, u1, v0, v1, t0, _ = (float(np.float32(x)) for x in caster)
+    u0, u1, v0, v1, t0, _ = _rounded(caster)
     return (
         receiver[0] <= u1
         and receiver[1] >= u0
@@ -205,6 +213,10 @@ def _sun_segments(
             if tried < surface:
                 surface, best = tried, (low, high, su, sv)
         near, far, su, sv = best
+        if run and surface > _WORTH_CUTTING:
+            cut = max(near, _end_on_faces([one[2] for one in run], box, su, sv))
+            surface -= rim * (far - cut)
+            far = cut
         clamped += surface
         # Depths so far count from the rectangle's middle; the table's from the origin.
         at = su * middle[0] + sv * middle[1]
@@ -213,6 +225,43 @@ def _sun_segments(
         segments.append((near - at, far - at, su, sv))
     surfaces = [rim * (end - front) + 2.0 * cap, rim * (back - front) + 2.0 * cap, clamped]
     return segments, np.array(surfaces)
+
+
+def _end_on_faces(run: list[_Receiver], box: Box, su: float, sv: float) -> float:
+    """Return the far end of a segment, the deepest receivers cut to the rectangle."""
+    bounds = [_spread(one, box, su, sv)[1] for one in run]
+    is_cut = [False] * len(run)
+    for _ in range(_MOST_CUTS):
+        at = bounds.index(max(bounds))
+        if is_cut[at]:
+            break
+        reach = run[at].pad * (1.0 + abs(su) + abs(sv))
+        depths = [
+            t - su * u - sv * v
+            for face in run[at].corners.tolist()
+            for u, v, t in _within(face, box)
+        ]
+        bounds[at] = min(bounds[at], max(depths, default=-1e300) + reach)
+        is_cut[at] = True
+    return max(bounds)
+
+
+def _within(face: list[list[float]], box: Box) -> list[list[float]]:
+    """Return the corners of a triangle's part in the rectangle, from its middle."""
+    mid_u, mid_v = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
+    polygon = [[u - mid_u, v - mid_v, t] for u, v, t in face]
+    for axis, most in ((0, box[1] - mid_u), (1, box[3] - mid_v)):
+        for sign in (1.0, -1.0):
+            kept: list[list[float]] = []
+            for here, there in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+                a, b = most - sign * here[axis], most - sign * there[axis]
+                if a >= 0.0:
+                    kept.append(here)
+                if a * b < 0.0:
+                    share = a / (a - b)
+                    kept.append([x + share * (y - x) for x, y in zip(here, there, strict=True)])
+            polygon = kept
+    return polygon
 
 
 _Met = tuple[float, float, _Receiver]
@@ -293,7 +342,9 @@ def _of_lamp(
     seen = corners - light[:3]
     away = np.abs(seen).max(axis=(0, 1))
     end = float(np.linalg.norm(away))
-    receivers = [_views(seen[f], pad) for f in clusters]
+    receivers = [
+        {view: _rounded(box) for view, box in _views(seen[f], pad).items()} for f in clusters
+    ]
     for caster in casters:
         intervals = [(0.0, 0.0)]
         for i in range(0, len(caster), _PIECE):
@@ -316,9 +367,17 @@ def _of_lamp(
 def _views(corners: F64, pad: float) -> dict[int, Box]:
     """Return the bounds of faces in each of the six views that they reach: u, v, ln m."""
     views: dict[int, Box] = {}
+    # A face is in one view alone if each corner's largest coordinate, the first of equal ones,
+    # says so; where it then touches another view, it has no width there.
+    largest = np.abs(corners).argmax(axis=2)
+    view_of_corner = 2 * largest + (
+        np.take_along_axis(corners, largest[:, :, None], axis=2)[:, :, 0] < 0.0
+    )
+    is_within = (view_of_corner == view_of_corner[:, :1]).all(axis=1)
     for view in range(6):
         axis, sign = divmod(view, 2)
-        turned = corners[:, :, [(axis + 1) % 3, (axis + 2) % 3, axis]].copy()
+        chosen = corners[~is_within | (view_of_corner[:, 0] == view)]
+        turned = chosen[:, :, [(axis + 1) % 3, (axis + 2) % 3, axis]]
         turned[:, :, 2] *= 1.0 - 2.0 * sign
         inside = [p for face in turned for p in _clipped(face.tolist())]
         if not inside:
@@ -340,6 +399,12 @@ def _views(corners: F64, pad: float) -> dict[int, Box]:
     return views
 
 
+def _rounded(box: Box) -> Box:
+    """Return the box as a table of float32 holds it."""
+    u0, u1, v0, v1, t0, t1 = (float(np.float32(x)) for x in box)
+    return u0, u1, v0, v1, t0, t1
+
+
 def _clipped(polygon: list[list[float]]) -> list[list[float]]:
     """Return the part of a polygon of points (a, b, m) where ``|a| <= m`` and ``|b| <= m``."""
     for i, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
@@ -357,8 +422,8 @@ def _clipped(polygon: list[list[float]]) -> list[list[float]]:
 
 
 def _is_in_view(caster: Box, receiver: Box) -> bool:
-    a, b = (np.array(box[:4], np.float32) for box in (caster, receiver))
-    return bool(b[0] <= a[1] and b[1] >= a[0] and b[2] <= a[3] and b[3] >= a[2])
+    u0, u1, v0, v1, _, _ = _rounded(caster)
+    return receiver[0] <= u1 and receiver[1] >= u0 and receiver[2] <= v1 and receiver[3] >= v0
 
 
 def _lamp_segments(
@@ -378,14 +443,17 @@ def _lamp_segments(
         else:
             merged.append([low, high])
     disc, band = math.pi * radius * radius, math.pi * radius * distance
-    runs = [merged[0]]
-    for low, high in merged[1:]:
-        k0, k1 = math.exp(runs[-1][1]), math.exp(low)
+    paying: list[tuple[float, int]] = []
+    for i, (before, after) in enumerate(pairwise(merged)):
+        k0, k1 = math.exp(before[1]), math.exp(after[0])
         saved = band * (k1 * k1 - k0 * k0) - disc * (k1 * k1 + k0 * k0)
-        if len(runs) < MOST_SEGMENTS and distance > radius and split_cost < area_cost * saved:
-            runs.append([low, high])
-        else:
-            runs[-1][1] = high
+        if distance > radius and split_cost < area_cost * saved:
+            paying.append((-saved, i + 1))
+    # Of the gaps that pay, those stay that save most.
+    splits = sorted(i for _, i in sorted(paying)[: MOST_LAMP_SEGMENTS - 1])
+    runs = [
+        [merged[begin][0], merged[end - 1][1]] for begin, end in pairwise([0, *splits, len(merged)])
+    ]
 
     def surface(k0: float, k1: float) -> float:
         return band * (k1 * k1 - k0 * k0) + disc * (k1 * k1 + k0 * k0)

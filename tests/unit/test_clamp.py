@@ -245,6 +245,21 @@ def test_no_gaps_without_a_cost_of_area(town: Prepared) -> None:
     assert_same(ten_times.depths, clamped(town, specs, ClampCosts(vertex=0.1, area=1.0)).depths)
 
 
+def test_more_receivers_than_are_kept_apart() -> None:
+    """A plate over 6,000 leaves, each an object at a height of its own: more gaps than are kept."""
+    n = 6_000
+    x, y = np.divmod(np.arange(n), 78)
+    at = np.column_stack((2.0 * x, 2.0 * y, 0.5 * np.random.default_rng(3).permutation(n)))
+    leaf = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0]])
+    plate = np.array([[0, 0, 3100], [160, 0, 3100], [160, 160, 3100], [0, 160, 3100]])
+    faces = np.vstack(([[0, 1, 2], [0, 2, 3]], 4 + np.arange(3 * n).reshape(-1, 3)))
+    vertices = np.vstack((plate, (at[:, None] + leaf).reshape(-1, 3)))
+    prepared = prepare(source_mesh(vertices, faces, [0, *range(2, n + 3)]), BuildConfig())
+    table = clamped(prepared, ["point:80.3,80.7,6200"], ANY_GAP)
+    assert_sound(prepared, table)
+    assert assert_conservative(prepared, table) > 500
+
+
 def test_clamping_saves_surface(town: Prepared) -> None:
     table = clamped(town, ["dir:135,40", "point:1,2,30"])
     for vertex, area, unclamped, _, surface in table.facts.tolist():

@@ -169,6 +169,13 @@ def test_kernels_are_defined_nowhere_else(module: str) -> None:
         assert "numba" not in tops(imported(module, lazy=False))
 
 
+@pytest.mark.parametrize("module", part("reference"))
+def test_twins_import_nothing_that_they_judge(module: str) -> None:
+    ours = {name for name in imported(module) if is_in(name, "svprep")}
+    allowed = ("svprep.errors", "svprep.model", "svprep.reference")
+    assert not {name for name in ours if not is_in(name, *allowed)}
+
+
 def test_the_model_needs_numpy_only() -> None:
     assert tops(imported("svprep.model")) <= STDLIB | {"numpy"}
 
