@@ -497,6 +497,7 @@ def _content_summary(prepared: Prepared) -> dict[str, Any]:
         "clusters": len(prepared.scene.cluster_start) - 1,
         "lights": light_facts(prepared.clamp, prepared.mesh.grid),
         "grid_step_m": prepared.mesh.grid.step_m,
+        "extent_m": report.extent_m(prepared.mesh),
         "left_out": len(report.left_out_faces(prepared)),
         "turned": len(prepared.repair.flipped_faces),
         "defects": report.total_counts(prepared),
@@ -527,6 +528,8 @@ def _print_counts(summary: dict[str, Any]) -> None:
         f"index    {index['objects']:,} objects have silhouette trees, over {index['edges']:,} "
         f"edges ({index['n_bytes'] / 1e6:.1f} MB)"
     )
+    x, y, z = summary["extent_m"]
+    print(f"extent   {x:,.2f} x {y:,.2f} x {z:,.2f} m (east, north, up)")
     print(f"grid     {summary['grid_step_m']:g} m; {summary['clusters']:,} clusters of faces")
     print(
         f"repair   {summary['left_out']:,} faces left out (no area on the grid, duplicates, "

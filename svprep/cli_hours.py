@@ -24,6 +24,10 @@ from svprep.light import Site, is_arc, parse_arc
 ARC_FORM = "sun:LAT,LON,2026-03-20/06:00/18:00/15m[Europe/Vienna]"
 
 
+_UP_DEG = 0.5
+"""An arc that begins or ends with the sun higher than this cuts a part of the day."""
+
+
 @dataclass(frozen=True, slots=True)
 class Query:
     """The options of one call, each already known to be of its kind."""
@@ -129,10 +133,13 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     if not isinstance(north, str):
         north = f"grid north is {abs(north):.3f} degrees {'west' if north < 0 else 'east'} of true"
     n_night = facts["night steps skipped"]
+    x, y, z = facts["model extent x y z metres"]
     lines = [
+        f"model    {x:,.1f} x {y:,.1f} x {z:,.1f} m (east, north, up)",
         f"sun      {facts['latitude']:.10g}, {facts['longitude']:.10g} on {facts['date']}, "
-        f"{_clock(facts['begin'])} to {_clock(facts['end'])} {facts['zone']}; {north}",
-        f"steps    {facts['steps']:,} of {facts['step minutes']:g} minutes, {n_night:,} at night",
+        f"{_clock(facts['begin'])} to {_end_clock(facts)} {facts['zone']}; {north}",
+        f"steps    {facts['steps']:,} of {facts['step minutes']:g} min, {n_night:,} at night",
+        *_cut_day(facts),
         f"samples  {facts['samples']:,}, one per {facts['sample spacing metres']:g} m squared; "
         f"{facts['samples buried in solids']:,} buried in solids and "
         f"{facts['samples buried under the ground']:,} under the ground left out; "
@@ -153,8 +160,29 @@ def _clock(moment: str) -> str:
     return moment.partition("T")[2][:5]
 
 
+def _end_clock(facts: dict[str, Any]) -> str:
+    """Return when the arc ends, midnight as 24:00."""
+    is_next_day = facts["end"].partition("T")[0] > facts["date"]
+    return "24:00" if is_next_day and _clock(facts["end"]) == "00:00" else _clock(facts["end"])
+
+
+def _cut_day(facts: dict[str, Any]) -> list[str]:
+    """Return a line if the sun is up before the arc begins, or after it ends."""
+    up = [
+        f"{altitude:.1f} degrees high when the arc {when}"
+        for when, altitude in zip(
+            ("begins", "ends"), facts["sun's altitude at begin and end degrees"], strict=True
+        )
+        if altitude > _UP_DEG
+    ]
+    if not up:
+        return []
+    return [f"note     the sun stands {' and '.join(up)}: what lies outside is not counted"]
+
+
 def _kind_text(kind: dict[str, Any]) -> str:
-    area = f"{kind['area_m2']:>12,.0f} m2"
+    area_m2 = kind["area_m2"]
+    area = f"{area_m2:>12,.{0 if area_m2 >= 100.0 else 2}f} m2"
     if kind["total_median"] is None:
         return f"{area}  all buried"
     return (

@@ -24,6 +24,7 @@ from svprep.model import (
     EdgeFlag,
     EdgeKind,
     EdgeTable,
+    Mesh,
     Prepared,
     SilhouetteIndex,
 )
@@ -49,6 +50,14 @@ def write_report(prepared: Prepared, path: str | PathLike[str]) -> None:
     target = REPORT.checked_path(path)
     text = to_json(prepared) if suffix_of(path) == ".json" else to_csv(prepared)
     write_whole(target, [text.encode("utf-8", "surrogateescape")])
+
+
+def extent_m(mesh: Mesh) -> list[float]:
+    """Return how far the mesh reaches along x, y and z [m], to the millimetre."""
+    if not len(mesh.positions):
+        return [0.0, 0.0, 0.0]
+    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+    return [round(x, 3) for x in (high.astype(np.float64) - low).tolist()]
 
 
 def left_out_faces(prepared: Prepared) -> I64:

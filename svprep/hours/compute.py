@@ -78,6 +78,7 @@ def sun_hours(
         groups=groups,
         position=position,
         face=face,
+        face_normal=surfaces.normal,
         object=np.repeat(groups.object, count),
         kind=np.repeat(groups.kind, count),
         is_on_solid=surfaces.is_solid[face],

@@ -36,7 +36,7 @@ COLUMNS: Final = (
     "area_m2",
     "samples",
     "buried",
-    *(f"{what}_{name}" for what in ("total", "longest") for name in PERCENTS),
+    *(f"{what}_{name}" for what in ("total", "longest") for name in (*PERCENTS, "mean")),
 )
 _ROWS_AT_ONCE = 10_000
 
@@ -76,7 +76,7 @@ def _rows(hours: SunHours) -> Iterator[list[Any]]:
     names = [_not_a_formula(name) for name in hours.object_names]
     kinds = {int(kind): kind.name.lower() for kind in Kind}
     minutes = np.column_stack(
-        [table[name] for table in (rows.total, rows.longest) for name in PERCENTS]
+        [table[name] for table in (rows.total, rows.longest) for name in (*PERCENTS, "mean")]
     )
     for i, (owner, kind) in enumerate(
         zip(groups.object.tolist(), groups.kind.tolist(), strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from svprep import __version__
 from svprep.hours.buried import Burial
 from svprep.hours.surfaces import RULES, SIDES
-from svprep.report import total_counts
+from svprep.report import extent_m, total_counts
+from svprep.sun import sun_angles
 
 if TYPE_CHECKING:
     from svprep.cache.reader import Cache
@@ -26,6 +28,8 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
     Nothing in it depends on the clock, on the number of threads or on where the cache lies.
     """
     arc = hours.arc
+    ends = np.array([arc.begin.timestamp(), arc.end.timestamp()])
+    _, altitude_deg = sun_angles(ends, arc.latitude_deg, arc.longitude_deg)
     # It reads the repair record and nothing else.
     findings = total_counts(cast("Prepared", cache))
     burial = hours.points.burial
@@ -34,6 +38,8 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
         "svprep": __version__,
         "cache": cache.path.name,
         "cache content digest": hours.digest,
+        "sources": [f"{Path(s.path).name} SHA-256 {s.sha256}" for s in cache.sources],
+        "model extent x y z metres": extent_m(cache.mesh),
         "coordinate reference system": cache.crs or "not stated",
         "light": arc.spec,
         "latitude": arc.latitude_deg,
@@ -42,6 +48,7 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
         "date": arc.date.isoformat(),
         "begin": arc.begin.isoformat(),
         "end": arc.end.isoformat(),
+        "sun's altitude at begin and end degrees": [round(x, 2) for x in altitude_deg.tolist()],
         "step minutes": arc.step_minutes,
         "steps": arc.n_steps,
         "night steps skipped": arc.n_night,
@@ -74,6 +81,8 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     """Return facts as ``key: value``, one printable line each."""
     lines = []
     for key, value in facts.items():
+        if isinstance(value, list):
+            value = ", ".join(map(str, value))
         if isinstance(value, dict):
             value = ", ".join(f"{name} {count}" for name, count in value.items()) or "none"
         lines.append(_one_line(f"{key}: {value}"))

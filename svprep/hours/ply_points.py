@@ -23,6 +23,7 @@ _POINTS_AT_ONCE: Final = 1 << 20
 _POINT: Final = np.dtype(
     [
         ("position", "<f8", 3),
+        ("normal", "<f4", 3),
         ("total_minutes", "<f4"),
         ("longest_minutes", "<f4"),
         ("object", "<u4"),
@@ -54,6 +55,7 @@ def ply_parts(hours: SunHours, origin_m: F64, facts: dict[str, Any]) -> Iterator
         *(f"comment {line.encode('ascii', 'backslashreplace').decode()}" for line in comments),
         f"element vertex {hours.n_samples}",
         *(f"property double {axis}" for axis in "xyz"),
+        *(f"property float n{axis}" for axis in "xyz"),
         "property float total_minutes",
         "property float longest_minutes",
         "property uint object",
@@ -69,6 +71,7 @@ def ply_parts(hours: SunHours, origin_m: F64, facts: dict[str, Any]) -> Iterator
         steps = hours.points.total_steps[part]
         points = np.empty(len(steps), _POINT)
         points["position"] = origin_m + hours.position[part]
+        points["normal"] = hours.face_normal[hours.face[part]]
         points["total_minutes"] = steps * hours.arc.step_minutes
         points["longest_minutes"] = hours.points.longest_steps[part] * hours.arc.step_minutes
         points["object"] = hours.object[part]

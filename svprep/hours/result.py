@@ -79,6 +79,8 @@ class SunHours:
     """``(n_samples, 3)`` [m], cache frame; source = grid origin + position."""
     face: U32
     """``(n_samples,)``: the face that it lies on."""
+    face_normal: F64
+    """``(n_faces, 3)``: unit normal of the side that counts, of every face of the mesh."""
     object: U32
     """``(n_samples,)``: index into `object_names`."""
     kind: U8

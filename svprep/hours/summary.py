@@ -33,7 +33,7 @@ class Rows:
     buried: I64
     """``(n_groups,)``"""
     total: dict[str, F64]
-    """By the names of `PERCENTS`: ``(n_groups,)`` [min]."""
+    """By the names of `PERCENTS`, and ``"mean"``: ``(n_groups,)`` [min]."""
     longest: dict[str, F64]
     """The same of the sun without a break."""
 
@@ -67,6 +67,8 @@ def _quantiles(owner: I64, steps: U32, count: I64, step_minutes: float) -> dict[
         at = np.where(count > 0, first + rank - 1, 0)
         value = ordered[at] if len(ordered) else np.zeros(len(at), np.int64)
         found[name] = np.where(count > 0, value * step_minutes, np.nan)
+    total = np.bincount(owner, steps, len(count))
+    found["mean"] = np.where(count > 0, total / np.maximum(count, 1) * step_minutes, np.nan)
     return found
 
 

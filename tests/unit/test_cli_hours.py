@@ -73,22 +73,37 @@ def test_people_read_aligned_lines(built: Path, capfd: pytest.CaptureFixture[str
     assert err == ""
     lines = out.splitlines()
     assert [line.split()[0] for line in lines] == [
-        "sun", "steps", "samples", "surface", "surface", "surface", "time", "written", "written",
-    ]  # fmt: skip
+        *("model", "sun", "steps", "samples", "surface", "surface", "surface", "time"),
+        *("written", "written"),
+    ]
+    assert lines.pop(0) == "model    1.0 x 1.0 x 1.0 m (east, north, up)"
     assert lines[0].startswith(
         "sun      48.2, 16.37 on 2026-06-21, 05:00 to 21:00 Europe/Vienna; grid north taken as"
     )
-    assert lines[1] == "steps    16 of 60 minutes, 0 at night"
+    assert lines[1] == "steps    16 of 60 min, 0 at night"
     assert lines[2].startswith(
         "samples  6, one per 1 m squared; 0 buried in solids and 0 under the ground left"
     )
-    assert re.match(r"surface  roof +1 m2  median 16 h 00 of sun, 16 h 00 to 16 h 00", lines[3])
+    assert re.match(r"surface  roof +1\.00 m2  median 16 h 00 of sun, 16 h 00 to 16 h 00", lines[3])
     assert lines[7:] == ["written  hours.csv", "written  hours.ply"]
     assert all(file.stat().st_size for file in files)
     assert sorted(os.listdir()) == ["hours.csv", "hours.ply"]
     before = [file.read_bytes() for file in files]
     assert cli.run(["hours", str(built), *SUN, *outputs]) == 0  # ours may be written again
     assert [file.read_bytes() for file in files] == before
+
+
+def test_an_arc_that_cuts_the_day_is_noted(built: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    def lines_of(clocks: str) -> str:
+        arc = f"sun:48.2,16.37,2026-06-21/{clocks}/1h[Europe/Vienna]"
+        assert cli.run(["hours", str(built), "--light", arc]) == 0
+        return capfd.readouterr().out
+
+    cut = lines_of("10:00/15:00")
+    assert re.search(r"note     the sun stands 4\d\.\d degrees high when the arc begins and ", cut)
+    whole = lines_of("00:00/24:00")
+    assert "note " not in whole
+    assert "00:00 to 24:00 Europe/Vienna" in whole
 
 
 def test_usage_errors(built: Path, capfd: pytest.CaptureFixture[str]) -> None:

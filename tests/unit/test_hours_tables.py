@@ -84,6 +84,7 @@ def test_rows_are_quantiles_of_their_samples(hours: SunHours) -> None:
             values = minutes[here][left]
             for name, q in (("median", 0.5), ("min", 0.0), ("p10", 0.1), ("p90", 0.9)):
                 assert found[name][i] == np.quantile(values, q, method="inverted_cdf")
+            assert found["mean"][i] == pytest.approx(values.mean())
 
 
 def test_totals_weight_samples_by_the_area_they_stand_for(hours: SunHours) -> None:
@@ -122,6 +123,9 @@ def test_the_header_says_everything(cache: Cache, hours: SunHours, table: bytes)
         "svprep": __version__,
         "cache": "odd\\nname.svp.h5",
         "cache content digest": cache.content_digest,
+        "sources": "".join(f"test.obj SHA-256 {s.sha256}" for s in cache.sources),
+        "model extent x y z metres": "160.0, 70.0, 15.0",
+        "sun's altitude at begin and end degrees": "0.45, -1.01",
         "coordinate reference system": "not stated",
         "light": arc.spec,
         "latitude": "48.2",
@@ -217,6 +221,8 @@ def test_the_point_cloud_is_read_by_others(cache: Cache, hours: SunHours, tmp_pa
     assert colours[most].mean() > 180 > colours[least].mean()
     head = path.read_bytes().partition(b"end_header\n")[0].decode("ascii")
     assert f"comment light: {hours.arc.spec}\n" in head
+    normals = np.stack([raw[f"n{axis}"] for axis in "xyz"], axis=1)
+    assert np.allclose(normals, hours.face_normal[hours.face])
     assert "comment property kind: 0 roof, 1 wall, 2 ground, 3 underside\n" in head
     assert "comment cache: odd\\nname.svp.h5\n" in head
 
