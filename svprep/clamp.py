@@ -32,7 +32,7 @@ from svprep.light import Light
 from svprep.model import F32, F64, I16, I64, U32, ClampTable, Components, Grid, Mesh, SceneTree
 from svprep.parallel import run_together, thread_count
 from svprep.scene_tree import level_starts
-from svprep.silhouette.tables import read_only
+from svprep.silhouette.tables import check_mesh, check_starts, contradiction, read_only
 
 LightHook = Callable[[int, int], None]
 """Called with how many lights are done, and of how many."""
@@ -114,6 +114,8 @@ def clamp_lights(
     ------
     InputError
         A point light lies exactly on a vertex, or is too far away.
+    CacheError
+        The tables, of a cache, contradict each other.
 
     Notes
     -----
@@ -121,6 +123,8 @@ def clamp_lights(
     Continuous clamping after Lloyd et al. (2004); precomputed after Steiner (2006).
     """
     costs = costs or ClampCosts()
+    if lights:
+        _check_tables(mesh, components, scene)
     vectors = [read_only(light.in_cache_frame(mesh.grid)) for light in lights]
     for light, vector in zip(lights, vectors, strict=True):
         _check_off_vertices(light, vector, mesh)
@@ -174,6 +178,7 @@ def joined(first: ClampTable, second: ClampTable) -> ClampTable:
 
 def selected(table: ClampTable, lights: Sequence[int]) -> ClampTable:
     """Return only some lights of a table, in the order given."""
+    check_starts("lights/segment_start", table.light_start, len(table.depths))
     chosen = np.array(lights, np.int64)
     begin, end = table.light_start[chosen], table.light_start[chosen + 1]
     rows = [np.arange(a, b) for a, b in zip(begin.tolist(), end.tolist(), strict=True)]
@@ -234,6 +239,15 @@ def _scene(mesh: Mesh, components: Components, scene: SceneTree) -> _Scene:
         levels=level_starts(len(start) - 1),
         pad_m=max(_LEAST_PAD_M, 1e-6 * reach),
     )
+
+
+def _check_tables(mesh: Mesh, components: Components, scene: SceneTree) -> None:
+    """Raise `CacheError` where a kernel would read beyond an array. O(n)."""
+    check_mesh(mesh, components)
+    n_faces = len(mesh.faces)
+    check_starts("scene/cluster_start", scene.cluster_start, n_faces)
+    if len(scene.faces) != n_faces or (n_faces and int(scene.faces.max()) >= n_faces):
+        raise contradiction("a cluster has a face that is not there")
 
 
 def _check_off_vertices(light: Light, vector: F32, mesh: Mesh) -> None:

@@ -83,7 +83,12 @@ def light_facts(table: ClampTable, grid: Grid) -> list[dict[str, Any]]:
         x, y, z, w = table.lights[i].tolist()
         vertex, area, unclamped, own_box, clamped = table.facts[i].tolist()
         n_segments = int(table.light_start[i + 1] - table.light_start[i])
-        n_bytes = 4 * (n_casters + 1) + per_segment * n_segments + 128 + len(spec.encode())
+        n_bytes = (
+            4 * (n_casters + 1)
+            + per_segment * n_segments
+            + 128
+            + len(spec.encode("utf-8", "surrogateescape"))
+        )
         facts.append(
             {
                 "spec": spec,

@@ -41,7 +41,12 @@ from svprep.model import (
 )
 from svprep.planes import build_planes
 from svprep.reference import EdgeSums
-from svprep.reference.casters import CasterRays, outside_segments, surface_points
+from svprep.reference.casters import (
+    CasterRays,
+    outside_segments,
+    segments_before_caster,
+    surface_points,
+)
 from svprep.repair.stage import repair
 from svprep.silhouette import Method, silhouette
 from svprep.silhouette.volumes import closed_volume_allowed, component_bounds
@@ -99,6 +104,14 @@ DEEP_CHECKS: dict[str, Check] = {
             "A point in the shadow of a component, as a ray finds, lies in none of its clamped "
             "segments for that light.",
             "Drawn clamped, that shadow has a hole; with --clamp none it is right. " + _BUG,
+        ),
+        Check(
+            "V607",
+            "EARLY_SEGMENT",
+            "A later segment of a component begins before a part of the component itself, on the "
+            "side of the light.",
+            "Drawn clamped, what lies there in the light is in shadow; with --clamp none it is "
+            "right. " + _BUG,
         ),
     )
 }
@@ -310,12 +323,22 @@ def _check_segments(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
     rays = CasterRays(cache.mesh, cache.components)
     rng = np.random.default_rng(0)
     problems: list[Problem] = []
-    n_pairs = 0
+    n_pairs, n_cut_off = 0, 0
     for i, spec in enumerate(table.specs):
         step("clamped segments", i, len(table))
+        early = segments_before_caster(table, i, cache.mesh, cache.components)
+        if len(early):
+            problems.append(
+                Problem(
+                    "V607",
+                    "clamp/depth",
+                    f'light "{spec}": later segments begin before their caster: {first_few(early)}',
+                )
+            )
         points = surface_points(cache.mesh, N_POINTS, rng)
         pairs = rays.between(points, table.lights[i])
         n_pairs += len(pairs.point)
+        n_cut_off += pairs.n_cut_off
         wrong = np.flatnonzero(outside_segments(table, i, points, pairs))
         if len(wrong):
             first = wrong[0]
@@ -329,9 +352,10 @@ def _check_segments(cache: Cache, step: Step) -> tuple[str, list[Problem]]:
                     f"component {int(pairs.component[first])}",
                 )
             )
+    told = f" ({n_cut_off:,} rays met too many to follow)" if n_cut_off else ""
     line = (
         f"{len(table)} lights: {n_pairs:,} pairs of a point and a component between it and the "
-        "light, found by rays, all lie in a segment"
+        f"light, found by rays, all lie in a segment, and none begins before its caster{told}"
     )
     return line, problems
 

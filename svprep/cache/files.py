@@ -140,8 +140,8 @@ def exclusive_lock(target: Path, wait_s: float = 0.0) -> Iterator[None]:
         while (fd := _try_lock(lock_path)) is None:
             if time.monotonic() >= deadline:
                 raise CacheError(
-                    f"{target}: {_holder(lock_path)} is writing it. Wait for it to end, or choose "
-                    "another name with -o"
+                    f"{target}: {_holder(lock_path)} is writing it. Wait for it to end, or write "
+                    "to another name"
                 )
             time.sleep(LOCK_POLL_S)
     except OSError as error:

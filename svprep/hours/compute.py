@@ -19,6 +19,7 @@ from svprep.hours.scene import RayStarts, Scene, displaced, offset_m, require_em
 from svprep.hours.surfaces import Surfaces, surfaces_of
 from svprep.hours.tracing import Suns, lit_bits, runs
 from svprep.model import F64, U32, Prepared
+from svprep.silhouette.tables import check_mesh, check_plane_of_face
 
 if TYPE_CHECKING:
     from svprep.light import Arc
@@ -50,7 +51,8 @@ def sun_hours(
     Raises
     ------
     InputError
-        `spacing_m` is not a distance above 0, or makes more than 100 million samples.
+        `spacing_m` is not a distance above 0, or makes more than 100 million samples;
+        steps do not fill the arc.
     EnvironmentProblem
         The package embreex is missing.
 
@@ -61,6 +63,7 @@ def sun_hours(
     """
     tell = on_progress or (lambda what, done, of: None)
     check_spacing(spacing_m)
+    _check_steps(arc)
     receivers = _receivers(cache, tell)
     mesh, surfaces = cache.mesh, receivers.surfaces
     groups = plan_samples(mesh, surfaces, spacing_m)
@@ -119,9 +122,21 @@ def trace_points(
     n_faces = len(cache.mesh.faces)
     if len(given) and (int(given.min()) < 0 or int(given.max()) >= n_faces):
         raise InputError(f"a point lies on a face that is not there; there are {n_faces:,}")
+    _check_steps(arc)
     tell = on_progress or (lambda what, done, of: None)
     receivers = _receivers(cache, tell)
     return _points(cache, arc, receivers, position, given.astype(np.uint32), tell)
+
+
+def _check_steps(arc: Arc) -> None:
+    """Raise unless the steps fill the arc: each one counts as a whole."""
+    minutes = (arc.end - arc.begin).total_seconds() / 60.0
+    if abs(arc.n_steps * arc.step_minutes - minutes) > 1e-6:
+        raise InputError(
+            f'light "{arc.spec}": steps of {arc.step_minutes:g} minutes do not fill the '
+            f"{minutes:g} minutes from begin to end evenly, so the last one would count too much. "
+            "Choose a step that does"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +153,8 @@ def _receivers(cache: Cache | Prepared, tell: Progress) -> _Receivers:
     require_embree()
     tell("reading", 0, 2)
     mesh = cache.mesh
+    check_mesh(mesh, cache.components)
+    check_plane_of_face(cache.planes, len(mesh.faces))
     tell("ray scene", 1, 2)
     scene, offset = Scene(mesh.positions, mesh.faces), offset_m(mesh)
     tell("surfaces", 2, 2)

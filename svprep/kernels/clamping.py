@@ -40,17 +40,23 @@ _FAR = 1e300
 _WORTH_CUTTING = 200.0
 """[m^2]: surface of a segment from which on its receivers are cut."""
 _MOST_CUTS = 32
+_MOST_RECEIVERS = 2048
+"""And two for each face of the caster: with more, it gets one segment, up to the last one.
+Thousands of sheets above each other would take a time that grows with their square."""
 
 _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 @_helper
-def _receivers(blocks, level_start, n_levels, u0, u1, v0, v1, t0, stack, found):
-    """Write the clusters whose boxes overlap the rectangle and reach behind t0; count them."""
+def _receivers(blocks, level_start, n_levels, u0, u1, v0, v1, t0, most, stack, found):
+    """Write the clusters whose boxes overlap the rectangle and reach behind t0; count them.
+
+    The search ends soon after there are more than `most`.
+    """
     n = 0
     stack[0] = level_start[n_levels - 1] * 32 + n_levels - 1
     depth = 1
-    while depth > 0:
+    while depth > 0 and n <= most:
         depth -= 1
         level = stack[depth] % 32
         block = stack[depth] // 32
@@ -81,6 +87,39 @@ def _receivers(blocks, level_start, n_levels, u0, u1, v0, v1, t0, stack, found):
                 bits >>= 1
                 child += 1
     return n
+
+
+@_helper
+def _last_depth(blocks, level_start, n_levels, u0, u1, v0, v1, t0, stack):
+    """Return the depth behind which no box overlaps the rectangle, the deepest first."""
+    best = t0
+    stack[0] = level_start[n_levels - 1] * 32 + n_levels - 1
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        level = stack[depth] % 32
+        block = stack[depth] // 32
+        child = level_start[level - 1] + 8 * (block - level_start[level]) if level > 0 else 0
+        deepest, top = -np.inf, depth
+        for k in range(8):
+            if (
+                blocks[block, 0, k] > u1
+                or blocks[block, 1, k] < u0
+                or blocks[block, 2, k] > v1
+                or blocks[block, 3, k] < v0
+                or blocks[block, 4, k] <= best
+            ):
+                continue
+            if level == 0:
+                best = blocks[block, 4, k]
+                continue
+            stack[depth] = (child + k) * 32 + level - 1
+            if blocks[block, 4, k] > deepest:
+                deepest, top = blocks[block, 4, k], depth
+            depth += 1
+        if depth > 0 and level > 0 and deepest > -np.inf:
+            stack[top], stack[depth - 1] = stack[depth - 1], stack[top]
+    return best
 
 
 @_helper
@@ -272,13 +311,19 @@ def clamp_casters(
         rim, cap = 2.0 * (width + height), width * height
         areas[0] += rim * (exit_depth - front) + 2.0 * cap
         areas[1] += rim * (back - front) + 2.0 * cap
+        u0, u1 = np.float32(rectangle[0]), np.float32(rectangle[1])
+        v0, v1 = np.float32(rectangle[2]), np.float32(rectangle[3])
+        most = _MOST_RECEIVERS + 2 * (face_start[c + 1] - face_start[c])
         n_found = _receivers(
-            blocks, level_start, n_levels,
-            np.float32(rectangle[0]), np.float32(rectangle[1]),
-            np.float32(rectangle[2]), np.float32(rectangle[3]),
-            np.float32(front), stack, found,
-        )  # fmt: skip
+            blocks, level_start, n_levels, u0, u1, v0, v1, np.float32(front), most, stack, found
+        )
         n = 0
+        if n_found > most:
+            n_found = 0
+            last_depth = _last_depth(
+                blocks, level_start, n_levels, u0, u1, v0, v1, np.float32(front), stack
+            )
+            back = max(back, np.float64(last_depth))
         for i in range(n_found):
             _overlap(blocks, slabs, found[i], rectangle, parts[n])
             low, high = _spread(parts[n], 0.0, 0.0)
@@ -294,7 +339,9 @@ def clamp_casters(
             while i < n:
                 gap = begin[i] - reach
                 saved = costs[1] * (rim * gap - 2.0 * cap)
-                if gap > 0.0 and n_segments < MOST_SEGMENTS - 1 and cost_of_split < saved:
+                # What rounding outward would close again is no gap.
+                is_gap = gap > 1e-6 * (abs(begin[i]) + abs(reach))
+                if is_gap and n_segments < MOST_SEGMENTS - 1 and cost_of_split < saved:
                     break
                 reach = max(reach, end[i])
                 i += 1
@@ -316,6 +363,11 @@ def clamp_casters(
                     tried = rim * (high - front) + cap + slanted
                 else:
                     tried = rim * (high - low) + 2.0 * slanted
+                if n_segments > 0:
+                    # A near plane that leads past the caster somewhere would shade what is lit.
+                    lowest = low - 0.5 * (abs(su) * width + abs(sv) * height)
+                    if lowest < back:
+                        continue
                 if tried < surface:
                     surface, far, slope_u, slope_v = tried, high, su, sv
                     near = front if n_segments == 0 else low

@@ -326,7 +326,8 @@ def clamp_casters_in_views(
         for i in range(1, n if distance > radius else 1):
             k0, k1 = math.exp(far[i - 1]), math.exp(near[i])
             saved = band * (k1 * k1 - k0 * k0) - disc * (k1 * k1 + k0 * k0)
-            if costs[0] * 6.0 * (end - begin) >= costs[1] * saved:
+            # What rounding outward would close again is no gap.
+            if costs[0] * 6.0 * (end - begin) >= costs[1] * saved or k1 <= k0 * (1.0 + 1e-6):
                 continue
             if saved > most:
                 second, other_split = most, split

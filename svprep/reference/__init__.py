@@ -27,6 +27,7 @@ from svprep.reference.casters import (
     CasterRays,
     casters_between,
     outside_segments,
+    segments_before_caster,
     surface_points,
 )
 from svprep.reference.clamping import TwinSegments, clamp_by_scan
@@ -73,6 +74,7 @@ __all__ = [
     "outside_segments",
     "pair_edges",
     "robust_count",
+    "segments_before_caster",
     "surface_points",
     "triangles_touch",
     "visit_hextree",

@@ -176,6 +176,34 @@ def outside_segments(table: ClampTable, light_index: int, points: F64, between: 
     return is_outside
 
 
+def segments_before_caster(
+    table: ClampTable, light_index: int, mesh: Mesh, components: Components
+) -> I64:
+    """Return the segments of a light, but first ones, that begin before their caster.
+
+    Their cap towards the light would lie between the caster and the light somewhere. Rows
+    count from the light's first segment. Straight from the definition of `ClampTable`.
+    """
+    start = table.segment_start[light_index].astype(np.int64)
+    first, last = table.light_start[light_index], table.light_start[light_index + 1]
+    depths = table.depths[first:last].astype(np.float64)
+    later = np.ones(len(depths), np.bool_)
+    later[start[:-1]] = False
+    rows = np.flatnonzero(later)
+    if table.lights[light_index, 3] != 0.0:
+        return rows[depths[rows, 0] < 1.0]
+    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))[rows]
+    n_faces = np.diff(components.face_start)[owner]
+    begin = np.repeat(components.face_start[owner] - (np.cumsum(n_faces) - n_faces), n_faces)
+    row = np.repeat(np.arange(len(rows)), n_faces)
+    corners = mesh.positions[mesh.faces[begin + np.arange(len(row))]].astype(np.float64)
+    u, v, t = np.moveaxis(corners @ table.frames[light_index].T, 2, 0)
+    slopes = table.slopes[first:last][rows].astype(np.float64) * _SLOPE_UNIT
+    depth = t - slopes[row, :1] * u - slopes[row, 1:] * v
+    is_early = (depth > depths[rows[row], :1]).any(axis=1)
+    return rows[np.unique(row[is_early])]
+
+
 def surface_points(mesh: Mesh, n: int, rng: np.random.Generator) -> F64:
     """Return n random points of faces, evenly by area: ``(n, 3) float64`` [m], cache frame."""
     if not len(mesh.faces):

@@ -210,6 +210,8 @@ def _sun_segments(
             if nth == 0:
                 low = front
                 tried = rim * (high - front) + cap + slanted
+            elif low - 0.5 * (abs(su) * width + abs(sv) * height) < back:
+                continue
             if tried < surface:
                 surface, best = tried, (low, high, su, sv)
         near, far, su, sv = best
@@ -275,7 +277,9 @@ def _runs(
     reach = back
     for one in met:
         gap = one[0] - reach
-        pays = gap > 0.0 and split_cost < area_cost * (rim * gap - 2.0 * cap)
+        pays = gap > 1e-6 * (abs(one[0]) + abs(reach)) and split_cost < area_cost * (
+            rim * gap - 2.0 * cap
+        )
         if pays and len(runs) < MOST_SEGMENTS:
             runs.append([])
             reach = one[1]
@@ -447,7 +451,7 @@ def _lamp_segments(
     for i, (before, after) in enumerate(pairwise(merged)):
         k0, k1 = math.exp(before[1]), math.exp(after[0])
         saved = band * (k1 * k1 - k0 * k0) - disc * (k1 * k1 + k0 * k0)
-        if distance > radius and split_cost < area_cost * saved:
+        if distance > radius and split_cost < area_cost * saved and k1 > k0 * (1.0 + 1e-6):
             paying.append((-saved, i + 1))
     # Of the gaps that pay, those stay that save most.
     splits = sorted(i for _, i in sorted(paying)[: MOST_LAMP_SEGMENTS - 1])

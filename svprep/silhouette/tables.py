@@ -20,7 +20,10 @@ from svprep.model import (
     U32,
     U64,
     ComponentFlag,
+    Components,
     EdgeFlag,
+    Mesh,
+    PlaneTable,
     Prepared,
 )
 from svprep.silhouette.volumes import component_bounds
@@ -43,6 +46,29 @@ def check_starts(name: str, start: I64, end: int) -> None:
         raise contradiction(f"{name} does not rise from 0 to {end}")
 
 
+def check_mesh(mesh: Mesh, components: Components) -> None:
+    """Raise `CacheError` where a loop over faces of components would go astray. O(n)."""
+    n_faces = len(mesh.faces)
+    check_starts("objects/component_start", components.object_start, len(components.flags))
+    check_starts("objects/face_start", mesh.object_face_start, n_faces)
+    check_starts("components/face_start", components.face_start, n_faces)
+    if (np.diff(components.face_start) == 0).any():
+        raise contradiction("a component has no face")
+    if n_faces and int(mesh.faces.max()) >= len(mesh.positions):
+        raise contradiction("a face has a corner that is not there")
+    if not np.isfinite(mesh.positions).all():
+        raise contradiction("a position is not finite")
+
+
+def check_plane_of_face(planes: PlaneTable, n_faces: int) -> None:
+    """Raise `CacheError` unless every face has a plane record."""
+    plane_of_face = planes.plane_of_face
+    if len(plane_of_face) != n_faces or (
+        n_faces and int(plane_of_face.max()) >= len(planes.planes)
+    ):
+        raise contradiction("a face has a plane record that is not there")
+
+
 def _check_offsets(source: Cache | Prepared) -> None:
     """Raise `CacheError` where a kernel would read or write beyond an array. O(n)."""
     parts, mesh, n_edges = source.components, source.mesh, len(source.edges.rows)
@@ -53,11 +79,7 @@ def _check_offsets(source: Cache | Prepared) -> None:
     check_starts("components/edge_start", parts.edge_start, n_edges)
     if (np.diff(parts.face_start) == 0).any():
         raise contradiction("a component has no face")
-    plane_of_face = source.planes.plane_of_face
-    if len(plane_of_face) != n_faces or (
-        n_faces and int(plane_of_face.max()) >= len(source.planes.planes)
-    ):
-        raise contradiction("a face has a plane record that is not there")
+    check_plane_of_face(source.planes, n_faces)
     if len(source.edges.flags) != n_edges:
         raise contradiction("there are more edge records than flags, or fewer")
 

@@ -16,7 +16,14 @@ from svprep.clamp import ClampCosts, clamp_lights
 from svprep.light import Light, parse_light
 from svprep.model import ClampTable, ComponentFlag, Prepared
 from svprep.pipeline import BuildConfig, prepare
-from svprep.reference import CasterRays, casters, casters_between, outside_segments, surface_points
+from svprep.reference import (
+    CasterRays,
+    casters,
+    casters_between,
+    outside_segments,
+    segments_before_caster,
+    surface_points,
+)
 from tests.dataset.datasets import DATA, build, buildable_files, label
 from tests.property.meshes import cube, moved, side_by_side, source_mesh
 
@@ -92,6 +99,8 @@ def test_no_point_is_outside_the_segments_of_its_casters(path: Path, is_long: bo
         pairs = rays.between(points, light)
         assert pairs.n_cut_off == 0
         found += len(pairs.point)
+        early = segments_before_caster(table, i, prepared.mesh, prepared.components)
+        assert not len(early), f"{table.specs[i]}: segments {early[:3]}"
         wrong = np.flatnonzero(outside_segments(table, i, points, pairs))
         assert not len(wrong), (
             f"{table.specs[i]}: {len(wrong)} of {len(pairs.point)} pairs; the first: point "
