@@ -37,7 +37,7 @@ SLOPE_UNIT = 512.0
 _MOST_SLOPE = 60.0
 _STACK = 1024
 _FAR = 1e300
-_WORTH_CUTTING = 200.0
+_WORTH_CUTTING = 1000.0
 """[m^2]: surface of a segment from which on its receivers are cut."""
 _MOST_CUTS = 32
 _MOST_RECEIVERS = 2048

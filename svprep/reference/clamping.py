@@ -26,7 +26,7 @@ _MOST_SLOPE: Final = 60.0
 _SLOPE_UNIT: Final = 512.0
 _PIECE: Final = 16
 _LOG_PAD: Final = 1e-6
-_WORTH_CUTTING: Final = 200.0
+_WORTH_CUTTING: Final = 1000.0
 _MOST_CUTS: Final = 32
 
 Box = tuple[float, float, float, float, float, float]
