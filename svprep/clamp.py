@@ -30,7 +30,7 @@ from svprep.kernels.light_boxes import (
 from svprep.kernels.point_clamping import bound_clusters_in_views, clamp_casters_in_views
 from svprep.light import Light
 from svprep.model import F32, F64, I16, I64, U32, ClampTable, Components, Grid, Mesh, SceneTree
-from svprep.parallel import run_together, thread_count
+from svprep.parallel import for_each, for_shares
 from svprep.scene_tree import level_starts
 from svprep.silhouette.tables import check_mesh, check_starts, contradiction, read_only
 
@@ -227,7 +227,7 @@ def _scene(mesh: Mesh, components: Components, scene: SceneTree) -> _Scene:
     positions, start = read_only(mesh.positions), read_only(scene.cluster_start)
     corners = mesh.faces.take(scene.faces, axis=0)
     normals = np.zeros((len(start) - 1, 3), np.float32)
-    _share(len(normals), lambda a, b: choose_normals(positions, corners, start, a, b, normals))
+    for_shares(len(normals), lambda a, b: choose_normals(positions, corners, start, a, b, normals))
     reach = float(np.abs(positions).max()) * math.sqrt(3.0)
     return _Scene(
         positions=positions,
@@ -269,7 +269,7 @@ def _clamp_sun(scene: _Scene, vector: F32, costs: ClampCosts) -> _Clamped:
     frame = light_frame(vector)
     start, pad, levels = scene.face_start, scene.pad_m, scene.levels
     placed = np.empty(scene.positions.shape, np.float32)
-    _share(len(placed), lambda a, b: place_vertices(scene.positions, frame, a, b, placed))
+    for_shares(len(placed), lambda a, b: place_vertices(scene.positions, frame, a, b, placed))
     blocks = np.empty((int(levels[-1]), 5, 8), np.float32)
     slabs = np.empty((scene.n_clusters, 5), np.float64)
     boxes = np.empty((scene.n_casters, 6), np.float64)
@@ -280,9 +280,9 @@ def _clamp_sun(scene: _Scene, vector: F32, costs: ClampCosts) -> _Clamped:
             slabs,
         )  # fmt: skip
 
-    _share(scene.n_clusters, bound)
+    for_shares(scene.n_clusters, bound)
     raise_levels(levels, len(levels) - 1, scene.n_clusters, blocks)
-    _share(
+    for_shares(
         scene.n_casters, lambda a, b: bound_casters(placed, scene.faces, start, pad, a, b, boxes)
     )
     sink = frame[2, 2]
@@ -313,7 +313,7 @@ def _clamp_point(scene: _Scene, vector: F32, costs: ClampCosts) -> _Clamped:
             positions, scene.corners, scene.cluster_start, vector, pad, a, b, blocks, nearest
         )
 
-    _share(scene.n_clusters, bound)
+    for_shares(scene.n_clusters, bound)
     for view in blocks:
         raise_levels(levels, len(levels) - 1, scene.n_clusters, view)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -349,7 +349,7 @@ def _segments(n_casters: int, frame: F64, prices: F64, work: _Work) -> _Clamped:
         n = work(a, b, counts, depths, slopes, areas)
         parts[chunk] = counts, depths[:n].copy(), slopes[:n].copy(), areas
 
-    _each(len(parts), do)
+    for_each(len(parts), do)
     areas = np.zeros(3)
     for part in parts:  # in this order, whatever the threads
         areas += part[3]
@@ -361,21 +361,3 @@ def _segments(n_casters: int, frame: F64, prices: F64, work: _Work) -> _Clamped:
         depths=np.concatenate([part[1] for part in parts]),
         slopes=np.concatenate([part[2] for part in parts]),
     )
-
-
-def _share(n: int, work: Callable[[int, int], object]) -> None:
-    """Call ``work(begin, end)`` on four equal ranges a thread, multiples of 8."""
-    n_parts = 4 * thread_count() if n > _CHUNK else 1
-    cuts = [min(n, -(-n * i // n_parts) // 8 * 8) for i in range(n_parts)] + [n]
-    _each(n_parts, lambda i: work(cuts[i], cuts[i + 1]))
-
-
-def _each(n: int, do: Callable[[int], object]) -> None:
-    """Call ``do(0) .. do(n - 1)``, on as many threads as there are, each taking the next."""
-    left = iter(range(n))
-
-    def run() -> None:
-        for i in left:  # next() on a range is atomic
-            do(i)
-
-    run_together([run] * min(thread_count(), n))

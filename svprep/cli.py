@@ -500,7 +500,7 @@ def _content_summary(prepared: Prepared) -> dict[str, Any]:
         "extent_m": report.extent_m(prepared.mesh),
         "left_out": len(report.left_out_faces(prepared)),
         "turned": len(prepared.repair.flipped_faces),
-        "defects": report.total_counts(prepared),
+        "defects": report.total_counts(prepared.repair),
         "notes": list(prepared.notes),
     }
 

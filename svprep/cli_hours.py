@@ -19,7 +19,7 @@ from svprep.hours.output import HOURS, write_hours
 from svprep.hours.result import SunHours
 from svprep.hours.scene import require_embree
 from svprep.hours.summary import kind_totals
-from svprep.light import Site, is_arc, parse_arc
+from svprep.light import is_arc, parse_arc
 
 ARC_FORM = "sun:LAT,LON,2026-03-20/06:00/18:00/15m[Europe/Vienna]"
 
@@ -76,8 +76,7 @@ def answer(query: Query, on_progress: Callable[[str, int, int], None]) -> dict[s
     started = time.perf_counter()
     with open_cache(query.cache) as cache:
         _check_outputs(query, [source.path for source in cache.sources])
-        x_m, y_m, _ = cache.grid.origin_m.tolist()
-        arc = parse_arc(query.arc_spec, Site(cache.crs, x_m, y_m))
+        arc = parse_arc(query.arc_spec, cache.site)
         hours = sun_hours(cache, arc, spacing_m=query.spacing_m, on_progress=on_progress)
         summary = _summary(query, cache, hours)
         for output in query.outputs:

@@ -14,7 +14,7 @@ import typer
 
 from svprep.cache.reader import Cache, open_cache
 from svprep.errors import InputError
-from svprep.light import FORMS, Light, Site, is_arc, is_sun, parse_light
+from svprep.light import FORMS, Light, is_arc, is_sun, parse_light
 from svprep.silhouette import METHODS, VOLUMES, Silhouette, silhouette
 from svprep.silhouette.lines import LINES, silhouette_lines, write_lines
 
@@ -95,8 +95,7 @@ def answer(query: Query) -> dict[str, Any]:
     with open_cache(query.cache) as cache:
         if query.output is not None:
             LINES.checked_path(query.output, [s.path for s in cache.sources])
-        x_m, y_m, _ = cache.grid.origin_m.tolist()
-        named = parse_light(query.light_spec, Site(cache.crs, x_m, y_m))
+        named = parse_light(query.light_spec, cache.site)
         light = named.in_cache_frame(cache.grid)
         objects = objects_named(cache, query.object_names) if query.object_names else None
         # Tables are read, what is derived from them is made, and compiled code is loaded

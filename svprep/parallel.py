@@ -20,6 +20,8 @@ T = TypeVar("T")
 
 MOST_THREADS = 256
 """More than any machine gains from."""
+_FEWEST_SHARED = 4096
+"""Items that cost little each, such as vertices, below which one thread does them."""
 _SMALLEST_SHARE = 20_000
 """Work items below which a second thread costs more than it brings."""
 
@@ -62,6 +64,27 @@ def run_together(tasks: Sequence[Callable[[], T]]) -> list[T]:
     others = [_pool(max(thread_count(), len(tasks)) - 1).submit(task) for task in tasks[1:]]
     first = tasks[0]()
     return [first, *(future.result() for future in others)]
+
+
+def for_each(n: int, do: Callable[[int], object]) -> None:
+    """Call ``do(0) .. do(n - 1)``, on as many threads as there are, each taking the next."""
+    left = iter(range(n))
+
+    def run() -> None:
+        for i in left:  # next() on a range is atomic
+            do(i)
+
+    run_together([run] * min(thread_count(), n))
+
+
+def for_shares(n: int, work: Callable[[int, int], object]) -> None:
+    """Call ``work(begin, end)`` on four equal ranges a thread of n items that cost the same.
+
+    Every range but the last ends on a multiple of 8, so that none shares a block of eight.
+    """
+    n_parts = 4 * thread_count() if n > _FEWEST_SHARED else 1
+    cuts = [min(n, -(-n * i // n_parts) // 8 * 8) for i in range(n_parts)] + [n]
+    for_each(n_parts, lambda i: work(cuts[i], cuts[i + 1]))
 
 
 @lru_cache(maxsize=1)

@@ -16,7 +16,7 @@ from svprep.clamp import ClampCosts, LightHook, clamp_lights, distinct, joined, 
 from svprep.edges import build_edges
 from svprep.errors import InputError
 from svprep.ingest import read
-from svprep.light import Light, Site, parse_lights
+from svprep.light import Light, parse_lights
 from svprep.model import ClampTable, Prepared, SourceMesh
 from svprep.planes import build_planes
 from svprep.repair.stage import record, repair
@@ -220,7 +220,7 @@ def add_lights(
 
     def change(cache: Cache) -> dict[str, Raw]:
         table = cache.clamp
-        wanted, kept = _lights_to_add(cache, parse_lights(specs, site_of(cache)), costs)
+        wanted, kept = _lights_to_add(cache, parse_lights(specs, cache.site), costs)
         new = clamp_lights(cache.mesh, cache.components, cache.scene, wanted, costs, on_light)
         whole = joined(selected(table, kept), new)
         done.append(
@@ -235,18 +235,12 @@ def add_lights(
         return clamp_datasets(whole)
 
     with open_cache(path) as cache:
-        lights = parse_lights(specs, site_of(cache))
+        lights = parse_lights(specs, cache.site)
         wanted, _ = _lights_to_add(cache, lights, costs)
         if not wanted:
             return LightsAdded(None, cache.clamp, (), 0, len(lights))
     summary = rewrite_cache(path, change)
     return replace(done[-1], cache=summary, n_present=len(lights) - len(done[-1].added))
-
-
-def site_of(cache: Cache) -> Site:
-    """Return where a cache's model stands, for the sun's azimuth."""
-    x_m, y_m, _ = cache.grid.origin_m.tolist()
-    return Site(cache.crs, x_m, y_m)
 
 
 def _lights_to_add(

@@ -26,6 +26,7 @@ from svprep.model import (
     EdgeTable,
     Mesh,
     Prepared,
+    RepairRecord,
     SilhouetteIndex,
 )
 from svprep.output_file import OutputKind, suffix_of, write_whole
@@ -71,9 +72,9 @@ def left_out_faces(prepared: Prepared) -> I64:
     return np.flatnonzero(np.isin(prepared.repair.face_findings.code, dropped))
 
 
-def total_counts(prepared: Prepared) -> dict[str, int]:
+def total_counts(repair: RepairRecord) -> dict[str, int]:
     """Return ``{"D302 OPEN_SHELL": 41, ...}`` of the defects that occur, over all objects."""
-    totals = prepared.repair.defect_counts.sum(axis=0, dtype=np.int64)
+    totals = repair.defect_counts.sum(axis=0, dtype=np.int64)
     return {
         defect.label: int(total)
         for defect, total in zip(DEFECTS.values(), totals, strict=True)
@@ -119,7 +120,7 @@ def to_json(prepared: Prepared) -> str:
         ],
         "config": prepared.config,
         "notes": list(prepared.notes),
-        "defects": total_counts(prepared),
+        "defects": total_counts(prepared.repair),
     }
     lines = ",\n".join(json.dumps(e) for e in _object_entries(prepared))
     text = json.dumps(head, indent=1).removesuffix("\n}")

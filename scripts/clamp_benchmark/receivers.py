@@ -8,7 +8,6 @@ published     boxes of whole objects in the light's frame; ends across the light
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -19,7 +18,7 @@ from svprep.clamp import ClampCosts
 from svprep.kernels.clamping import MOST_SEGMENTS, SLOPE_UNIT, clamp_casters
 from svprep.kernels.light_boxes import bound_casters, bound_clusters, place_vertices, raise_levels
 from svprep.model import F32, F64, I64, ClampTable, Mesh, SceneTree
-from svprep.parallel import run_together, thread_count
+from svprep.parallel import for_each, for_shares
 from svprep.scene_tree import level_starts
 
 _LEAST_PAD_M: Final = 0.0005
@@ -59,7 +58,7 @@ class LitScene:
         """Return ``(n, 6)`` [m], ``u0, u1, v0, v1, t0, t1``: of runs of faces, padded."""
         boxes = np.empty((len(face_start) - 1, 6), np.float64)
         faces = self.mesh.faces
-        share(
+        for_shares(
             len(boxes),
             lambda a, b: bound_casters(self.placed, faces, face_start, self.pad_m, a, b, boxes),
         )
@@ -70,7 +69,7 @@ def lit(mesh: Mesh, frame: F64) -> LitScene:
     """Return `mesh` in the frame of a sun."""
     reach = float(np.abs(mesh.positions).max()) * math.sqrt(3.0)
     placed = np.empty_like(mesh.positions)
-    share(len(placed), lambda a, b: place_vertices(mesh.positions, frame, a, b, placed))
+    for_shares(len(placed), lambda a, b: place_vertices(mesh.positions, frame, a, b, placed))
     return LitScene(mesh, frame, max(_LEAST_PAD_M, 1e-6 * reach), placed)
 
 
@@ -132,7 +131,7 @@ def whole_objects(lit: LitScene, scene: SceneTree, face_start: I64, costs: Clamp
         )  # fmt: skip
         parts[part] = counts, depths[:k].copy(), slopes[:k] / SLOPE_UNIT
 
-    each(_PARTS, do)
+    for_each(_PARTS, do)
     counts = np.concatenate([part[0] for part in parts]).astype(np.int64)
     return Segments(
         np.concatenate(([0], np.cumsum(counts))),
@@ -153,7 +152,9 @@ def cut_faces(lit: LitScene, scene: SceneTree, face_start: I64) -> Segments:
     triangles = lit.placed[lit.mesh.faces[faces]]
     horizon = -lit.frame[:2, 2] / lit.frame[2, 2]
     ends = np.empty((len(boxes), 2))
-    share(len(boxes), lambda a, b: cut_ends(boxes, blocks, levels, triangles, horizon, a, b, ends))
+    for_shares(
+        len(boxes), lambda a, b: cut_ends(boxes, blocks, levels, triangles, horizon, a, b, ends)
+    )
     across, level = (ends + lit.pad_m * (1.0 + np.array([0.0, np.abs(horizon).sum()]))).T
     width, height = boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]
     middle = np.column_stack([boxes[:, :2].mean(axis=1), boxes[:, 2:4].mean(axis=1)])
@@ -174,7 +175,7 @@ def _tree(lit: LitScene, faces: I64, leaf_start: I64) -> tuple[F32, F64, I64]:
     slabs = np.empty((n, 5), np.float64)
     edge_on = np.tile(lit.frame[0].astype(np.float32), (n, 1))  # gives no slab
     corners = lit.mesh.faces[faces]
-    share(
+    for_shares(
         n,
         lambda a, b: bound_clusters(
             lit.placed, corners, leaf_start, edge_on, lit.frame, lit.pad_m, a, b, blocks, slabs
@@ -182,20 +183,3 @@ def _tree(lit: LitScene, faces: I64, leaf_start: I64) -> tuple[F32, F64, I64]:
     )
     raise_levels(levels, len(levels) - 1, n, blocks)
     return blocks, slabs, levels
-
-
-def share(n: int, work: Callable[[int, int], object]) -> None:
-    """Call ``work(begin, end)`` on equal ranges on all threads; kernels want multiples of 8."""
-    cuts = [min(n, -(-n * i // _PARTS) // 8 * 8) for i in range(_PARTS)] + [n]
-    each(_PARTS, lambda i: work(cuts[i], cuts[i + 1]))
-
-
-def each(n: int, do: Callable[[int], object]) -> None:
-    """Call ``do(0) .. do(n - 1)`` on all threads, each taking the next."""
-    left = iter(range(n))
-
-    def run() -> None:
-        for i in left:  # next() on a range is atomic
-            do(i)
-
-    run_together([run] * min(thread_count(), n))

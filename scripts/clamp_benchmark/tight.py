@@ -15,7 +15,6 @@ from clamp_benchmark.receivers import (
     between,
     cached,
     cut_faces,
-    each,
     lit,
     single_faces,
     whole_objects,
@@ -26,6 +25,7 @@ from svprep.clamp import ClampCosts, clamp_lights
 from svprep.hours.scene import Scene
 from svprep.light import parse_light
 from svprep.model import F64, I64, ClampTable, Prepared
+from svprep.parallel import for_each
 
 AZIMUTH_DEG: Final = 135.0
 ALTITUDES_DEG: Final = (3.0, 10.0, 30.0, 60.0)
@@ -245,7 +245,7 @@ def updates_of(
             slopes, begin, min(n, begin + _PIXELS_AT_ONCE), counts, floor, left_out,
         )  # fmt: skip
 
-    each(-(-n // _PIXELS_AT_ONCE), do)
+    for_each(-(-n // _PIXELS_AT_ONCE), do)
     held, hidden = floor.sum(axis=0).tolist()
     return {
         name: Updates(_per_view(counts[:, k], views), int(counts[:, k].sum()), int(left))

@@ -58,6 +58,7 @@ from svprep.model import (
     SilhouetteIndex,
     SourceFile,
 )
+from svprep.sun import Site
 
 SHARED = ("mesh/positions", "mesh/face_corners")
 """Datasets that several tables are decoded from: kept once read."""
@@ -179,6 +180,12 @@ class Cache:
         """The quantisation grid."""
         step = float(self._numbers("grid_step_m"))
         return Grid(step_m=step, origin_m=codec.frozen(self._numbers("grid_origin_m")))
+
+    @cached_property
+    def site(self) -> Site:
+        """Where the model stands, for the sun's azimuth."""
+        x_m, y_m, _ = self.grid.origin_m.tolist()
+        return Site(self.crs, x_m, y_m)
 
     @cached_property
     def object_names(self) -> tuple[str, ...]:

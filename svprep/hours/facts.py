@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from svprep.sun import sun_angles
 if TYPE_CHECKING:
     from svprep.cache.reader import Cache
     from svprep.hours.result import SunHours
-    from svprep.model import BOOL, Prepared
+    from svprep.model import BOOL
 
 TITLE: Final = "svprep sun hours 1"
 """The layout of a CSV or PLY file, and its version."""
@@ -30,8 +30,7 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
     arc = hours.arc
     ends = np.array([arc.begin.timestamp(), arc.end.timestamp()])
     _, altitude_deg = sun_angles(ends, arc.latitude_deg, arc.longitude_deg)
-    # It reads the repair record and nothing else.
-    findings = total_counts(cast("Prepared", cache))
+    findings = total_counts(cache.repair)
     burial = hours.points.burial
     convergence = arc.convergence_deg
     return {

@@ -21,9 +21,6 @@ import math
 import numpy as np
 from numba import njit
 
-MOST_SEGMENTS = 3
-"""Of one caster and light. Shadows grow with k, and so does what any gap saves: without a
-bound nearly every gap would stay, and cost more memory than it is worth."""
 _PIECE = 16
 """Faces of a caster that are bounded together: the nearer and farther ones of a large
 caster are clamped apart."""
@@ -320,7 +317,8 @@ def clamp_casters_in_views(
         away = max(exit_distance / distance, 1.0)
         areas[0] += band * (away * away - 1.0) + disc * (1.0 + away * away)
         areas[1] += band * (own * own - 1.0) + disc * (1.0 + own * own)
-        # Of the gaps with V < R, the two stay that save most.
+        # Of the gaps with V < R, the two stay that save most. Shadows grow with k, and so does
+        # what any gap saves: without a bound nearly all would stay, and take too much memory.
         most, second = 0.0, 0.0
         split, other_split = n, n
         for i in range(1, n if distance > radius else 1):

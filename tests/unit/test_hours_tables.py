@@ -145,7 +145,7 @@ def test_the_header_says_everything(cache: Cache, hours: SunHours, table: bytes)
         "samples buried in solids": str((hours.points.burial == Burial.IN_SOLID).sum()),
         "samples buried under the ground": str((hours.points.burial == 2).sum()),
         "samples on surfaces that are not solid": str((hours.object == 0).sum()),
-        "repair findings": ", ".join(f"{k} {n}" for k, n in total_counts(cache.prepared()).items()),
+        "repair findings": ", ".join(f"{k} {n}" for k, n in total_counts(cache.repair).items()),
         "side that counts": header["side that counts"],
         "kinds": header["kinds"],
         "sunlit": header["sunlit"],
