@@ -33,12 +33,12 @@ import numpy as np  # noqa: E402
 from svprep.cache.reader import Cache, open_cache  # noqa: E402
 from svprep.facing import facing  # noqa: E402
 from svprep.hours import SunHours, sun_hours  # noqa: E402
-from svprep.hours.scene import Scene, displaced  # noqa: E402
 from svprep.hours.summary import kind_totals, rows_of  # noqa: E402
 from svprep.hours.surfaces import surfaces_of  # noqa: E402
 from svprep.light import Arc, Site, parse_arc  # noqa: E402
 from svprep.parallel import thread_count  # noqa: E402
 from svprep.pipeline import build  # noqa: E402
+from svprep.rays import Scene, displaced  # noqa: E402
 
 DAY = "sun:48.2,16.37,2026-06-21/05:00/21:00/15m[Europe/Vienna]"
 SAMPLE = ROOT / "data" / "small_city.obj.gz"

@@ -24,8 +24,8 @@ from svprep.cache.reader import Cache
 from svprep.errors import InputError, SvprepError
 from svprep.hours import trace_points
 from svprep.hours.ply_points import ramp
-from svprep.hours.scene import Scene
 from svprep.light import Arc, parse_arc, parse_light
+from svprep.rays import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
 SUPERSAMPLING = 2

@@ -17,9 +17,9 @@ from svprep.hours.compute import sun_hours
 from svprep.hours.facts import facts_of
 from svprep.hours.output import HOURS, write_hours
 from svprep.hours.result import SunHours
-from svprep.hours.scene import require_embree
 from svprep.hours.summary import kind_totals
 from svprep.light import is_arc, parse_arc
+from svprep.rays import require_embree
 
 ARC_FORM = "sun:LAT,LON,2026-03-20/06:00/18:00/15m[Europe/Vienna]"
 
@@ -72,7 +72,7 @@ def answer(query: Query, on_progress: Callable[[str, int, int], None]) -> dict[s
         cannot be written (told before the rays).
     """
     _check_outputs(query, [])
-    require_embree()
+    require_embree("svprep hours")
     started = time.perf_counter()
     with open_cache(query.cache) as cache:
         _check_outputs(query, [source.path for source in cache.sources])

@@ -22,10 +22,10 @@ from clamp_benchmark.receivers import (
 from clamp_benchmark.views import Views
 from svprep.cache.reader import Cache
 from svprep.clamp import ClampCosts, clamp_lights
-from svprep.hours.scene import Scene
 from svprep.light import parse_light
 from svprep.model import F64, I64, ClampTable, Prepared
 from svprep.parallel import for_each
+from svprep.rays import Scene
 
 AZIMUTH_DEG: Final = 135.0
 ALTITUDES_DEG: Final = (3.0, 10.0, 30.0, 60.0)

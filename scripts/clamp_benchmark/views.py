@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from svprep.hours.scene import Scene
 from svprep.model import BOOL, F32, F64, I64, U32
+from svprep.rays import Scene
 
 EYE_M: Final = 1.7
 """[m]: of a person above the ground."""

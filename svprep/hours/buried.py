@@ -32,9 +32,10 @@ from enum import IntEnum
 import numpy as np
 
 from svprep.cache.reader import Cache
-from svprep.hours.scene import RAYS_AT_ONCE, RayStarts, Scene, for_batches
+from svprep.hours.scene import RayStarts
 from svprep.hours.surfaces import Kind, Surfaces
 from svprep.model import BOOL, F32, I32, I64, U8, ComponentFlag, Prepared
+from svprep.rays import RAYS_AT_ONCE, Scene, for_batches
 
 _RAYS_OF_A_SOLID = 1 << 20
 

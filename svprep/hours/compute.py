@@ -15,10 +15,11 @@ from svprep.errors import InputError
 from svprep.hours.buried import Burial, burial_of
 from svprep.hours.result import PointHours, SunHours
 from svprep.hours.sampling import check_spacing, place_samples, plan_samples
-from svprep.hours.scene import RayStarts, Scene, displaced, offset_m, require_embree
+from svprep.hours.scene import RayStarts
 from svprep.hours.surfaces import Surfaces, surfaces_of
 from svprep.hours.tracing import Suns, lit_bits, runs
 from svprep.model import F64, U32, Prepared
+from svprep.rays import Scene, displaced, offset_m, require_embree
 from svprep.silhouette.tables import check_mesh, check_plane_of_face
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ class _Receivers:
 
 def _receivers(cache: Cache | Prepared, tell: Progress) -> _Receivers:
     """Return the rays' scene, what each face is, and how far before it rays start."""
-    require_embree()
+    require_embree("svprep hours")
     tell("reading", 0, 2)
     mesh = cache.mesh
     check_mesh(mesh, cache.components)

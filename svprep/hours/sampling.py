@@ -23,10 +23,10 @@ from typing import Final
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.hours.scene import for_batches
 from svprep.hours.spread import points_in_faces
 from svprep.hours.surfaces import Kind, Surfaces
 from svprep.model import F64, I64, U8, U32, Mesh
+from svprep.rays import for_batches
 
 MOST_SAMPLES: Final = 100_000_000
 _AT_ONCE: Final = 1 << 20

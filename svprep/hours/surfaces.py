@@ -40,15 +40,10 @@ from typing import Final
 import numpy as np
 
 from svprep.cache.reader import Cache
-from svprep.hours.scene import (
-    RAYS_AT_ONCE,
-    Scene,
-    component_of_faces,
-    displaced,
-    for_batches,
-)
+from svprep.hours.scene import component_of_faces
 from svprep.hours.spread import points_in_faces
 from svprep.model import BOOL, F64, I8, I64, U8, ComponentFlag, Mesh, Prepared
+from svprep.rays import RAYS_AT_ONCE, Scene, displaced, for_batches
 
 
 class Kind(IntEnum):

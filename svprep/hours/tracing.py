@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from svprep.facing import facing
-from svprep.hours.scene import RAYS_AT_ONCE, RayStarts, Scene, for_batches
+from svprep.hours.scene import RayStarts
 from svprep.model import BOOL, F32, I8, U8, U32, PlaneTable
+from svprep.rays import RAYS_AT_ONCE, Scene, for_batches
 
 _MOST_BITS: int = 1 << 23
 """Steps times points of a batch, a byte each while it is worked on."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svprep.facing import facing
-from svprep.hours.scene import Scene, offset_m
 from svprep.hours.surfaces import Surfaces, surfaces_of
 from svprep.light import Arc, parse_arc
 from svprep.model import Prepared, SourceMesh
 from svprep.pipeline import BuildConfig, prepare
+from svprep.rays import Scene, offset_m
 from tests.property.meshes import side_by_side, source_mesh
 
 BOX_FACES = np.array(

@@ -41,7 +41,7 @@ def plate() -> Prepared:
 def _looking(prepared: Prepared, *rays: tuple[tuple[float, ...], tuple[float, ...]]):
     """Return views, one a ray, of a pixel each: from an eye to a target (source)."""
     from clamp_benchmark.views import Views, surfaces
-    from svprep.hours.scene import Scene
+    from svprep.rays import Scene
 
     origin_m = prepared.mesh.grid.origin_m
     eyes = np.array([eye for eye, _ in rays], float) - origin_m

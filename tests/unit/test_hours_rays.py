@@ -11,9 +11,9 @@ from svprep.errors import EnvironmentProblem, InputError
 from svprep.hours import Kind, sun_hours, trace_points, tracing
 from svprep.hours import buried as burying
 from svprep.hours.buried import Burial
-from svprep.hours.scene import Scene, displaced, offset_m
 from svprep.hours.tracing import runs, steps_of
 from svprep.model import ComponentFlag
+from svprep.rays import Scene, displaced, offset_m
 from tests.property.meshes import joined, moved, source_mesh, sphere, turned
 from tests.unit.cache_samples import nothing
 from tests.unit.hours_scenes import (
