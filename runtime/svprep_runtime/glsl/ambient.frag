@@ -1,0 +1,25 @@
+// Light from the sky: brighter on what looks up; and the sky itself.
+layout(std430, binding = 0) readonly buffer Positions { float positions[]; };
+layout(std430, binding = 1) readonly buffer Corners { uint corners[]; };
+
+layout(binding = 0) uniform usampler2D seen_of_pixel;
+
+layout(location = 0) out vec4 radiance;
+
+vec3 corner(uint face, uint k) {
+    uint v = 3u * corners[3u * face + k];
+    return vec3(positions[v], positions[v + 1u], positions[v + 2u]);
+}
+
+void main() {
+    uint seen = texelFetch(seen_of_pixel, ivec2(gl_FragCoord.xy), 0).r;
+    if (seen == 0u) {
+        radiance = vec4(0.62, 0.74, 0.86, 0.0);
+        return;
+    }
+    uint face = (seen & 0x7fffffffu) - 1u;
+    vec3 a = corner(face, 0u);
+    vec3 n = normalize(cross(corner(face, 1u) - a, corner(face, 2u) - a));
+    if ((seen & 0x80000000u) == 0u) n = -n;
+    radiance = vec4(vec3(0.22, 0.24, 0.28) * (0.75 + 0.25 * n.z), 1.0);
+}

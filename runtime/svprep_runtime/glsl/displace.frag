@@ -1,0 +1,48 @@
+// X, displaced to the eye's side of its face: the depth that volumes are counted against.
+// Computed from the face's own plane through the centre of the sample, in float64: what the
+// rasteriser rounds, of this face or of a volume that begins on it, is less than `lift_px`.
+layout(std430, binding = 0) readonly buffer Positions { float positions[]; };
+layout(std430, binding = 1) readonly buffer Corners { uint corners[]; };
+
+layout(binding = 0) uniform usampler2D seen_of_pixel;
+
+uniform vec3 eye;
+uniform vec3 row_forward;
+uniform float near_m;
+uniform vec3 ray_corner;   // of view depth 1: to the lower left corner of the picture,
+uniform vec3 ray_right;    // and what a pixel to the right or up adds
+uniform vec3 ray_up;
+uniform vec2 offset_px;    // by which the picture is shifted for this sample
+uniform float lift_px;     // displacement, in pixels at the depth of X,
+uniform float least_lift_m;
+
+uniform float most_slant;   // a ray that grazes is followed no farther than this many lifts
+
+dvec3 corner(uint face, uint k) {
+    uint v = 3u * corners[3u * face + k];
+    return dvec3(positions[v], positions[v + 1u], positions[v + 2u]) - dvec3(eye);
+}
+
+void main() {
+    uint seen = texelFetch(seen_of_pixel, ivec2(gl_FragCoord.xy), 0).r;
+    if (seen == 0u) {
+        gl_FragDepth = 0.0;
+        return;
+    }
+    uint face = (seen & 0x7fffffffu) - 1u;
+    dvec3 a = corner(face, 0u), b = corner(face, 1u), c = corner(face, 2u);
+    dvec3 n = cross(b - a, c - a);
+    vec2 at = gl_FragCoord.xy - offset_px;
+    dvec3 ray = dvec3(ray_corner) + double(at.x) * dvec3(ray_right) + double(at.y) * dvec3(ray_up);
+    dvec3 forward = dvec3(row_forward);
+    double da = dot(a, forward), db = dot(b, forward), dc = dot(c, forward);
+    double slope = abs(dot(n, ray));
+    double depth = slope > 0.0 ? abs(dot(n, a)) / slope : da;
+    depth = clamp(depth, min(da, min(db, dc)), max(da, max(db, dc)));
+    double lift = max(double(lift_px) * length(dvec3(ray_right)) * depth, double(least_lift_m));
+    double length_n = length(n), length_ray = length(ray);
+    double slant = slope * double(most_slant) > length_n * length_ray ? length_n / slope
+                                                              : double(most_slant) / length_ray;
+    depth = max(depth - lift * slant, double(near_m));
+    gl_FragDepth = min(float(double(near_m) / depth), 0.9999999);
+}

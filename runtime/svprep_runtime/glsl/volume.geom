@@ -1,0 +1,64 @@
+// The volume of one face in one segment, without the sides that its neighbours close.
+// Adjacency is by faces: a side stands where the neighbour's uploaded facing differs.
+// (Stich, Waechter, Keller 2007; GPU Gems 3, ch. 11.)
+// Where this draws volumes, visible.geom draws the scene: a driver may round what leaves a
+// geometry shader otherwise than what leaves a vertex shader, and caps must meet the scene.
+layout(points) in;
+layout(triangle_strip, max_vertices = 24) out;
+
+#define WRITES_PLANE
+#include "position.glsl"
+#include "extrude.glsl"
+#include "depth_plane.glsl"
+
+layout(std430, binding = 3) readonly buffer Facing { uint facing[]; };  // int8, four a word
+layout(std430, binding = 5) readonly buffer Entries { uvec2 entries[]; };
+layout(std430, binding = 7) readonly buffer Neighbours { uint neighbours[]; };  // 3 a face
+
+flat in int entry_of_vertex[];
+
+uniform bool has_all_caps;  // z-pass needs no light cap, and none at infinity
+
+const uint NO_INDEX = 0xffffffffu;
+
+invariant gl_Position;
+
+int facing_of(uint face) {
+    if (face == NO_INDEX) return 0;
+    return int(facing[face >> 2u] << (24u - 8u * (face & 3u))) >> 24;
+}
+
+void triangle(vec4 a, vec4 b, vec4 c) {
+    vec4 p[3] = vec4[3](a, b, c);
+    for (int k = 0; k < 3; k++) {
+        set_depth_plane(a, b, c);
+        gl_Position = clip_from_world(p[k]);
+        EmitVertex();
+    }
+    EndPrimitive();
+}
+
+void main() {
+    uvec2 entry = entries[entry_of_vertex[0]];
+    uint face = entry.x;
+    int s = facing_of(face);
+    vec4 segment = segments[entry.y];
+    bool has_end = segment.y < ENDLESS;
+    bool is_to_point = !has_end && light.w == 0.0;
+    vec4 near_end[3], far_end[3];
+    for (uint k = 0u; k < 3u; k++) {
+        vec3 p = position_of(corners[3u * face + k]);
+        near_end[k] = end_of_segment(p, entry.y, false);
+        far_end[k] = end_of_segment(p, entry.y, true);
+    }
+    if (has_all_caps || segment.x > -ENDLESS) triangle(near_end[0], near_end[1], near_end[2]);
+    if (has_end || (has_all_caps && !is_to_point)) triangle(far_end[2], far_end[1], far_end[0]);
+    for (uint k = 0u; k < 3u; k++) {
+#ifndef EACH_ALONE
+        if (facing_of(neighbours[3u * face + k]) == s) continue;
+#endif
+        uint next = (k + 1u) % 3u;
+        triangle(near_end[next], near_end[k], far_end[k]);
+        if (!is_to_point) triangle(near_end[next], far_end[k], far_end[next]);
+    }
+}

@@ -1,0 +1,47 @@
+"""Which components zp+ may draw clamped, and which cast onto the near plane.
+
+zp+ counts from the near plane: each face between light and near rectangle adds 1 there
+(Hornus et al. 2005). That is right for a volume that reaches the rectangle whole. So, per
+component, with its segments:
+
+    rectangle in one segment           clamped, and its faces are projected
+    rectangle outside all of them      clamped, nothing is projected
+    a segment ends at the rectangle    whole, and its faces are projected
+
+Of point lights every volume is drawn whole: where a segment ends depends on the face.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from svprep.model import BOOL
+from svprep_runtime.camera import Camera
+from svprep_runtime.volumes import CastersOf, Segments
+
+
+def sort_components(
+    casters: CastersOf, segments: Segments, camera: Camera, reach_m: float
+) -> tuple[BOOL, BOOL, BOOL]:
+    """Return ``(n_components,)`` masks: inside, outside, ends at the rectangle.
+
+    `reach_m` [m]: how much longer segments are drawn than they are.
+    """
+    n = len(segments.start) - 1
+    if not segments.is_clamped:
+        return np.ones(n, bool), np.zeros(n, bool), np.zeros(n, bool)
+    if casters.light[3] != 0.0:
+        return np.zeros(n, bool), np.zeros(n, bool), np.ones(n, bool)
+    frame = segments.frame.astype(np.float64)
+    u, v, t = frame @ camera.near_corners().T
+    near, far, p, q = segments.table[:-1].astype(np.float64).T
+    value = t[:, None] - p * u[:, None] - q * v[:, None]
+    low, high = value.min(axis=0), value.max(axis=0)
+    component = np.repeat(np.arange(n), np.diff(segments.start))
+    holds = (near < low) & (high < far)
+    reach = reach_m * np.sqrt(1.0 + p * p + q * q)
+    meets = (near - reach <= high) & (low <= far + reach)
+    inside, touched = (np.zeros(n, bool) for _ in range(2))
+    inside[component[holds]] = True
+    touched[component[meets & ~holds]] = True
+    return inside & ~touched, ~inside & ~touched, touched

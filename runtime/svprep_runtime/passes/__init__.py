@@ -1,0 +1,1 @@
+"""The passes of a frame: state, program and buffers, one file each."""
