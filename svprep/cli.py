@@ -74,6 +74,55 @@ CostAreaOption = Annotated[
 ]
 
 
+CameraOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="C",
+        help="EX,EY,EZ,TX,TY,TZ[,FOV]: eye and target in input coordinates, vertical degrees. "
+        "Default: all of the model, from the south-west.",
+    ),
+]
+ViewLightsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="SPEC", help=f"{LIGHT_HELP}. May be repeated. Default: azimuth 135, altitude 40."
+    ),
+]
+SizeOption = Annotated[str, typer.Option(metavar="WxH", help="Pixels.")]
+MethodOption = Annotated[
+    str,
+    typer.Option(
+        metavar="M", help="How to count: auto, zpass, zfail or zp+. Shadows are the same."
+    ),
+]
+ClampOption = Annotated[
+    str,
+    typer.Option(
+        metavar="K", help="auto: clamped volumes for lights that the cache holds; none: whole ones."
+    ),
+]
+CounterOption = Annotated[
+    str,
+    typer.Option(
+        metavar="T", help="float: exact to millions of layers; stencil: 8 bits, modulo 256."
+    ),
+]
+ConstructionOption = Annotated[
+    str,
+    typer.Option(
+        metavar="S", help="vertex: sides from silhouette edges; geometry: by a geometry shader."
+    ),
+]
+SamplesOption = Annotated[
+    int,
+    typer.Option(metavar="N", help="Samples of a pixel, odd; the shadow is what most say."),
+]
+MemoryOption = Annotated[
+    str | None,
+    typer.Option(metavar="SIZE", help="Graphics memory for buffers, such as 512M. Default 4G."),
+]
+
+
 @app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
@@ -174,6 +223,26 @@ def validate(
             help="Recompute multiplicities for 100 lights, ask manifold3d, repair again.",
         ),
     ] = False,
+    shadows: Annotated[
+        bool,
+        typer.Option(
+            "--shadows",
+            help="Draw a view and have rays judge every pixel; takes the options of render.",
+        ),
+    ] = False,
+    light: ViewLightsOption = None,
+    camera: CameraOption = None,
+    size: SizeOption = "1280x1024",
+    method: MethodOption = "auto",
+    clamp: ClampOption = "auto",
+    counter: CounterOption = "float",
+    construction: ConstructionOption = "vertex",
+    samples: SamplesOption = 1,
+    memory: MemoryOption = None,
+    difference: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="With --shadows: a .png of the pixels that differ."),
+    ] = None,
     explain: Annotated[
         str | None,
         typer.Option(metavar="CODE", help="Document a defect or problem code, such as D302."),
@@ -189,6 +258,29 @@ def validate(
         return
     if cache is None:
         raise typer.BadParameter("name the cache to check, or a code: --explain CODE")
+    if shadows:
+        from svprep import cli_render, cli_shadows
+
+        view_options = cli_render.view_options(
+            light or [],
+            camera,
+            size,
+            method,
+            clamp,
+            counter=counter,
+            construction=construction,
+            samples=samples,
+            memory=memory,
+        )
+        _say_default_light(light)
+        with _progress() as tell:
+            judged = cli_shadows.judge(_cache_not_model(cache), view_options, difference, tell)
+        _show(judged, cli_shadows.summary_lines(judged), as_json=as_json)
+        if not cli_shadows.is_clean(judged):
+            raise typer.Exit(1)
+        return
+    if light or camera is not None or difference is not None:
+        raise typer.BadParameter("--light, --camera and --difference go with --shadows")
     with _progress() as tell:
         outcome = checks.validate(_cache_not_model(cache), deep=deep, on_step=tell)
     if as_json:
@@ -259,11 +351,7 @@ def silhouette(
     query = cli_silhouette.query_of(cache, light or [], method, volume, objects or [], output)
     _cache_not_model(cache)
     summary = cli_silhouette.answer(query)
-    if as_json:
-        print(json.dumps(summary))
-        return
-    for line in cli_silhouette.summary_lines(summary):
-        print(_plain(line))
+    _show(summary, cli_silhouette.summary_lines(summary), as_json=as_json)
 
 
 @app.command()
@@ -280,11 +368,7 @@ def clamp(
     costs = cli_clamp.costs_of(cost_vertex, cost_area)
     with _progress() as tell:
         summary = cli_clamp.add(_cache_not_model(cache), light or [], costs, tell)
-    if as_json:
-        print(json.dumps(summary))
-        return
-    for line in cli_clamp.add_lines(summary):
-        print(_plain(line))
+    _show(summary, cli_clamp.add_lines(summary), as_json=as_json)
 
 
 @app.command()
@@ -321,11 +405,113 @@ def hours(
     _cache_not_model(cache)
     with _progress() as tell:
         summary = cli_hours.answer(query, tell)
+    _show(summary, cli_hours.summary_lines(summary), as_json=as_json)
+
+
+@app.command()
+def render(
+    cache: Annotated[Path, typer.Argument(metavar="CACHE")],
+    light: ViewLightsOption = None,
+    camera: CameraOption = None,
+    size: SizeOption = "1280x1024",
+    method: MethodOption = "auto",
+    clamp: ClampOption = "auto",
+    counter: CounterOption = "float",
+    construction: ConstructionOption = "vertex",
+    samples: SamplesOption = 1,
+    memory: MemoryOption = None,
+    output: Annotated[
+        str | None,
+        typer.Option("-o", "--output", metavar="IMAGE", help="A .png. Default: STEM.png here."),
+    ] = None,
+    mask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MASK",
+            help="A .png: 255 where a surface is in shadow (of several lights: of all), else 0.",
+        ),
+    ] = None,
+    stats: Annotated[
+        bool, typer.Option("--stats", help="Say what each pass took; --json always does.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw a picture with exact shadows, without a window."""
+    from svprep import cli_render
+
+    view_options = cli_render.view_options(
+        light or [],
+        camera,
+        size,
+        method,
+        clamp,
+        counter=counter,
+        construction=construction,
+        samples=samples,
+        memory=memory,
+    )
+    query = cli_render.query_of(_cache_not_model(cache), view_options, output, mask)
+    _say_default_light(light)
+    summary = cli_render.answer(query, with_figures=stats or as_json)
+    _show(summary, cli_render.summary_lines(summary), as_json=as_json)
+
+
+@app.command()
+def view(
+    cache: Annotated[Path, typer.Argument(metavar="CACHE")],
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SPEC",
+            help=f"{LIGHT_HELP}; or an arc. May be repeated. Default: azimuth 135, altitude 40.",
+        ),
+    ] = None,
+    camera: CameraOption = None,
+    size: SizeOption = "1280x800",
+    method: MethodOption = "auto",
+    clamp: ClampOption = "auto",
+) -> None:
+    """Look around in a window, and drag the sun; F1 there lists the keys."""
+    from svprep import cli_view
+
+    cli_view.view(
+        _cache_not_model(cache),
+        light or [],
+        size,
+        camera,
+        method,
+        clamp,
+        lambda line: print(f"svprep: {line}", file=sys.stderr),
+    )
+
+
+@app.command()
+def doctor(as_json: JsonOption = False) -> None:
+    """Say what this machine has of what svprep needs; exit status 1 if something is bad."""
+    from svprep import cli_doctor
+
+    found = cli_doctor.look()
+    is_well = all(each["status"] != "bad" for each in found)
+    _show({"well": is_well, "findings": found}, cli_doctor.lines(found), as_json=as_json)
+    if not is_well:
+        raise typer.Exit(1)
+
+
+def _show(summary: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
+    """Print a summary: one JSON object, or lines for people."""
     if as_json:
         print(json.dumps(summary))
         return
-    for line in cli_hours.summary_lines(summary):
+    for line in lines:
         print(_plain(line))
+
+
+def _say_default_light(lights: list[str] | None) -> None:
+    if not lights:
+        print(
+            "svprep: no --light SPEC is given: dir:135,40 (azimuth 135, altitude 40)",
+            file=sys.stderr,
+        )
 
 
 def main() -> None:
