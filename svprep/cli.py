@@ -88,6 +88,7 @@ ViewLightsOption = Annotated[
         metavar="SPEC", help=f"{LIGHT_HELP}. May be repeated. Default: azimuth 135, altitude 40."
     ),
 ]
+_PICTURE_SIZE = "1280x1024"
 SizeOption = Annotated[str, typer.Option(metavar="WxH", help="Pixels.")]
 MethodOption = Annotated[
     str,
@@ -232,7 +233,7 @@ def validate(
     ] = False,
     light: ViewLightsOption = None,
     camera: CameraOption = None,
-    size: SizeOption = "1280x1024",
+    size: SizeOption = _PICTURE_SIZE,
     method: MethodOption = "auto",
     clamp: ClampOption = "auto",
     counter: CounterOption = "float",
@@ -259,6 +260,8 @@ def validate(
     if cache is None:
         raise typer.BadParameter("name the cache to check, or a code: --explain CODE")
     if shadows:
+        if deep:
+            raise typer.BadParameter("--deep and --shadows are two checks; ask for one at a time")
         from svprep import cli_render, cli_shadows
 
         view_options = cli_render.view_options(
@@ -279,8 +282,10 @@ def validate(
         if not cli_shadows.is_clean(judged):
             raise typer.Exit(1)
         return
-    if light or camera is not None or difference is not None:
-        raise typer.BadParameter("--light, --camera and --difference go with --shadows")
+    usual = (None, None, _PICTURE_SIZE, "auto", "auto", "float", "vertex", 1, None, None)
+    given = (light or None, camera, size, method, clamp, counter, construction, samples, memory)
+    if (*given, difference) != usual:
+        raise typer.BadParameter("the options of a view (--light, --camera, ...) need --shadows")
     with _progress() as tell:
         outcome = checks.validate(_cache_not_model(cache), deep=deep, on_step=tell)
     if as_json:
@@ -413,7 +418,7 @@ def render(
     cache: Annotated[Path, typer.Argument(metavar="CACHE")],
     light: ViewLightsOption = None,
     camera: CameraOption = None,
-    size: SizeOption = "1280x1024",
+    size: SizeOption = _PICTURE_SIZE,
     method: MethodOption = "auto",
     clamp: ClampOption = "auto",
     counter: CounterOption = "float",

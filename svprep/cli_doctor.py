@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes.util
 import importlib.metadata
+import importlib.util
 import os
 import platform
 import sys
@@ -20,6 +21,7 @@ _PACKAGES: Final = (
     ("formats", ("pyproj", "DracoPy", "lxml")),
 )
 """By the extra that brings them; the first are always needed."""
+_DRAWING: Final = ("moderngl", "glcontext")
 _USES: Final = {
     "view": "svprep render and view",
     "judge": "svprep hours, validate --deep and validate --shadows",
@@ -35,13 +37,14 @@ def look() -> list[dict[str, Any]]:
     found = [_fact("svprep", "good", f"{__version__}, Python {platform.python_version()}")]
     for extra, names in _PACKAGES:
         found += [_package(name, extra) for name in names]
-    found += _libraries()
-    try:
-        from svprep_runtime.doctor import findings
-    except ImportError as error:
-        remedy = _install("view")
-        found.append(_fact("OpenGL", "missing", f"not tried without {error.name}", remedy))
+    lacking = [name for name in _DRAWING if importlib.util.find_spec(name) is None]
+    if lacking:
+        said = f"not tried without {lacking[0]}"
+        found.append(_fact("OpenGL", "missing", said, _install("view")))
         return found
+    found += _libraries()
+    from svprep_runtime.doctor import findings
+
     try:
         for each in findings():
             status = "good" if each.is_good else "bad"

@@ -31,6 +31,7 @@ CONSTRUCTIONS: Final = ("vertex", "geometry")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[xX]([0-9]{1,6})")
 _MEMORY: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)([kKmMgG]?)[bB]?")
 _UNITS: Final = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
+_LONGEST_NUMBER: Final = 24
 _TITLE: Final = "svprep"
 _Name = TypeVar("_Name", bound=str)
 
@@ -184,8 +185,8 @@ def memory_of(text: str) -> int:
         It is not of that form.
     """
     match = _MEMORY.fullmatch(text.strip())
-    if match is None:
-        raise typer.BadParameter(f'--memory "{text}" is not a size like 512M or 2G')
+    if match is None or len(text) > _LONGEST_NUMBER:
+        raise typer.BadParameter(f'--memory "{text[:40]}" is not a size like 512M or 2G')
     return int(float(match[1]) * _UNITS[match[2].lower()])
 
 
@@ -219,6 +220,7 @@ def query_of(cache: Path, view: ViewOptions, output: str | None, mask: str | Non
         As `OutputKind.checked_path`.
     """
     name = cache.name.removesuffix(".h5").removesuffix(".svp")
+    require_pillow()
     chosen = output if output is not None else f"{name}.png"
     IMAGE.checked_path(chosen, [cache])
     if mask is not None:
@@ -339,18 +341,18 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def png(pixels: np.ndarray) -> bytes:
-    """Return a PNG of ``(height, width)`` or ``(height, width, 3)`` uint8 pixels.
-
-    Raises
-    ------
-    EnvironmentProblem
-        The package Pillow is missing.
-    """
+def require_pillow() -> None:
+    """Raise `EnvironmentProblem` unless pictures can be written: before the work, not after."""
     try:
-        from PIL import Image, PngImagePlugin
+        import PIL.Image  # noqa: F401
     except ImportError:
         raise require_extra("Pillow", "view", "writing pictures") from None
+
+
+def png(pixels: np.ndarray) -> bytes:
+    """Return a PNG of ``(height, width)`` or ``(height, width, 3)`` uint8 pixels."""
+    from PIL import Image, PngImagePlugin
+
     told = PngImagePlugin.PngInfo()
     told.add_text("Software", _TITLE)
     into = io.BytesIO()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from svprep.cache.reader import Cache, open_cache
-from svprep.cli_render import IMAGE, ViewOptions, png, request_of
+from svprep.cli_render import IMAGE, ViewOptions, png, request_of, require_pillow
 from svprep.errors import require_extra
 from svprep.output_file import write_whole
 
@@ -41,6 +41,7 @@ def judge(
         raise require_extra(error.name or "embreex", "judge", "validate --shadows") from None
 
     if difference is not None:
+        require_pillow()
         IMAGE.checked_path(difference, [path])
     begun = time.perf_counter()
     with open_cache(path) as cache:

@@ -21,6 +21,8 @@ from svprep.model import F32, F64, Grid
 
 DEFAULT_FOV_DEG: Final = 60.0
 DEFAULT_NEAR_M: Final = 0.05
+FARTHEST_M: Final = 2.0**30
+"""[m]: an eye or target this far from the model is an error."""
 MOST_PIXELS_A_SIDE: Final = 16384
 FORM: Final = "EX,EY,EZ,TX,TY,TZ[,FOV]: eye and target in input coordinates, vertical degrees"
 
@@ -107,6 +109,11 @@ def look_at(
         raise InputError(f"a field of view of {fov_deg:g} degrees cannot be drawn; 1 to 170")
     if not 0.0 < near_m < math.inf:
         raise InputError(f"a near plane at {near_m:g} m is none; a distance above 0")
+    for name, point in (("eye", eye), ("target", target)):
+        if not (np.abs(point) < FARTHEST_M).all():
+            raise InputError(
+                f"the camera's {name} is more than {FARTHEST_M:.2g} m from the middle of the model"
+            )
     eye32, target32 = np.array(eye, np.float32), np.array(target, np.float32)
     forward = target32.astype(np.float64) - eye32.astype(np.float64)
     length = float(np.linalg.norm(forward))
@@ -171,8 +178,22 @@ def default_camera(positions: F32, width_px: int, height_px: int) -> Camera:
     ) + np.array([0.0, 0.0, math.sin(altitude)])
     fov_deg = 45.0
     at = look_at(middle + back, middle, width_px, height_px, fov_deg=fov_deg)
-    seen = (positions - middle) @ at.rows.astype(np.float64).T
-    # A point is seen from a distance d of the middle iff |x|, |y| <= d + depth.
+    scaled = at.rows.astype(np.float64)
+    seen = (positions - middle) @ scaled.T
+    moved = np.zeros(3)
+    for _ in range(4):  # a few steps put the middle of what is seen in the middle
+        around = seen - moved
+        distance = _distance(around)
+        on_screen = around[:, :2] / (distance + around[:, 2:])
+        moved[:2] += distance * (on_screen.min(axis=0) + on_screen.max(axis=0)) / 2.0
+    around = seen - moved
+    distance = _distance(around)
+    target = middle + np.linalg.solve(scaled, moved)
+    return look_at(target + distance * back, target, width_px, height_px, fov_deg=fov_deg)
+
+
+def _distance(seen: F64) -> float:
+    """Return how far away a camera sees all of `seen` ``(n, 3)``: scaled x and y, depth."""
+    # A point is seen from a distance d of the origin iff |x|, |y| <= d + depth.
     reach = float((np.abs(seen[:, :2]).max(axis=1) - seen[:, 2]).max())
-    distance = max(1.02 * reach, 10.0 * DEFAULT_NEAR_M)
-    return look_at(middle + distance * back, middle, width_px, height_px, fov_deg=fov_deg)
+    return max(1.02 * reach, 10.0 * DEFAULT_NEAR_M)

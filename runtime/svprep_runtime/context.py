@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 VERSION: Final = 450
 APT: Final = "apt-get install libegl1 libgl1 libgl1-mesa-dri"
 LEAST_STORAGE_BLOCKS: Final = 8
+_LEAST_TO_ASK: Final = 330
 
 
 @dataclass(slots=True)
@@ -53,9 +54,12 @@ def headless() -> Iterator[Context]:
     for library, name in (("GL", "libGL"), ("EGL", "libEGL")):
         if ctypes.util.find_library(library) is None:
             raise EnvironmentProblem(f"drawing needs the library {name}. Run: {APT}")
+    make = glcontext.get_backend_by_name("egl")
     try:
-        native = glcontext.get_backend_by_name("egl")(mode="standalone", glversion=VERSION)
+        native = make(mode="standalone", glversion=VERSION)
     except Exception as error:
+        if older := _older(moderngl, make):
+            raise _too_old(older) from error
         raise EnvironmentProblem(
             f"no OpenGL {VERSION // 100}.{VERSION // 10 % 10} context could be made without a "
             f"window (EGL: {error}). Without a graphics card: {APT}"
@@ -86,9 +90,7 @@ def checked(ctx: moderngl.Context, load: Any) -> Context:
     renderer, version = str(info["GL_RENDERER"]), str(info["GL_VERSION"])
     found = f"{renderer}, OpenGL {version}"
     if ctx.version_code < VERSION:
-        raise EnvironmentProblem(
-            f"OpenGL 4.5 is needed; found {found}. Update the driver, or {APT}"
-        )
+        raise _too_old(found)
     gl = g.RawGL(load)
     for what, name in (
         (g.GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS, "vertex"),
@@ -111,6 +113,20 @@ def checked(ctx: moderngl.Context, load: Any) -> Context:
         most_pixels_a_side=gl.integer(g.GL_MAX_TEXTURE_SIZE),
         most_buffer_bytes=gl.integer(g.GL_MAX_SHADER_STORAGE_BLOCK_SIZE),
     )
+
+
+def _older(moderngl: Any, make: Any) -> str:
+    """Return what OpenGL there is where none is new enough, ``""`` for none at all."""
+    with contextlib.suppress(Exception):
+        native = make(mode="standalone", glversion=_LEAST_TO_ASK)
+        info = moderngl.create_context(context=native, require=_LEAST_TO_ASK).info
+        native.release()
+        return f"{info['GL_RENDERER']}, OpenGL {info['GL_VERSION']}"
+    return ""
+
+
+def _too_old(found: str) -> EnvironmentProblem:
+    return EnvironmentProblem(f"OpenGL 4.5 is needed; found {found}. Update the driver, or {APT}")
 
 
 def _packages(purpose: str) -> tuple[Any, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from svprep.errors import EnvironmentProblem
 from svprep_runtime import gl_raw as g
-from svprep_runtime.context import APT, LEAST_STORAGE_BLOCKS, Context, headless
+from svprep_runtime.context import LEAST_STORAGE_BLOCKS, Context, headless
 from svprep_runtime.targets import Targets
 
 
@@ -32,7 +32,7 @@ def findings() -> list[Finding]:
             found += _of_context(context)
             found += _of_targets(context)
     except EnvironmentProblem as problem:
-        found.append(Finding("OpenGL", False, str(problem), APT))
+        found.append(Finding("OpenGL", False, str(problem)))
     return found
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from svprep.cache.reader import Cache
 from svprep.light import Light
-from svprep.model import Grid
+from svprep.model import F32, Grid
 from svprep_runtime.camera import Camera, default_camera, parse_camera
 from svprep_runtime.context import Context, headless
 from svprep_runtime.frame import Picture, Settings, render
@@ -88,9 +88,6 @@ def draw_cache(cache: Cache, request: Request) -> Drawn:
     lap("read")
     with scene_of(cache, request.budget_bytes) as scene:
         lap("open OpenGL, upload")
-        for light in lights:
-            scene.lit_by(light, clamped=request.settings.clamp)
-        lap("silhouettes")
         targets = Targets(scene.context, camera.width_px, camera.height_px, len(lights))
         try:
             picture = render(
@@ -110,8 +107,15 @@ def draw_cache(cache: Cache, request: Request) -> Drawn:
 def camera_of(cache: Cache, request: Request) -> Camera:
     """Return the camera that a request names."""
     if request.camera is None:
-        return default_camera(cache.mesh.positions, request.width_px, request.height_px)
+        return default_camera(box_corners(cache), request.width_px, request.height_px)
     return parse_camera(request.camera, cache.grid, request.width_px, request.height_px)
+
+
+def box_corners(cache: Cache) -> F32:
+    """Return ``(8 n, 3)`` [m]: the corners of the boxes of objects, cache frame."""
+    boxes = cache.scene.object_boxes
+    boxes = boxes[boxes[:, 0] <= boxes[:, 3]]
+    return np.concatenate([boxes[:, [i, j, k]] for i in (0, 3) for j in (1, 4) for k in (2, 5)])
 
 
 def camera_text(camera: Camera, grid: Grid) -> str:

@@ -183,12 +183,10 @@ def _segments_around(
         to_eye = normal @ (eye - light[:3])
         depth = np.divide(to_eye, from_light, out=np.zeros(len(component)), where=from_light != 0.0)
         across = np.zeros(2)
-        reach = REACH * np.abs(depth)
         near_end = tolerance * np.abs(depth) / max(float(np.linalg.norm(eye - light[:3])), 1e-30)
     else:
         u, v, t = segments.frame.astype(np.float64) @ eye
         depth, across = np.full(len(component), t), np.array([u, v])
-        reach = np.full(len(component), reach_m)
         near_end = np.full(len(component), tolerance)
     holds, at_end = np.zeros(len(component), np.int64), np.zeros(len(component), bool)
     first, end = segments.start[component], segments.start[component + 1]
@@ -197,9 +195,10 @@ def _segments_around(
         near, far, p, q = segments.table[first[rows] + nth].astype(np.float64).T
         value = depth[rows] - p * across[0] - q * across[1]
         steep = np.sqrt(1.0 + p * p + q * q)
-        slack, longer = near_end[rows] * steep, reach[rows] * steep
+        slack = near_end[rows] * steep
+        before, longer = (REACH * near, REACH * far) if light[3] else (reach_m * steep,) * 2
         holds[rows] += (near <= value) & (value <= far + longer)
         # Where a segment's beginning is drawn depends on how near its caster is.
-        begins = (near - longer - slack <= value) & (value <= near + slack)
+        begins = (near - before - slack <= value) & (value <= near + slack)
         at_end[rows] |= begins | (np.abs(value - far - longer) <= slack)
     return holds, at_end

@@ -38,7 +38,7 @@ LIFT_PX: Final = 1.0 / 128.0
 """How far X is displaced: twice what a rasteriser with 8 sub-pixel bits rounds a vertex by,"""
 LIFT_ULPS: Final = 8.0
 """and at least so many float32 ulps of the model's largest coordinate."""
-MOST_SLANT: Final = 16.0
+MOST_SLANT: Final = 4.0
 """X moves along its ray, at most so many times farther than along the normal."""
 
 
@@ -148,16 +148,13 @@ def draw(
     Without any light, there is that of the sky.
     """
     checked(settings)
-    if (camera.width_px, camera.height_px, len(lights)) != (
-        targets.width_px,
-        targets.height_px,
-        targets.n_lights,
-    ):
+    fits = (camera.width_px, camera.height_px) == (targets.width_px, targets.height_px)
+    if not fits or (lights and len(lights) != targets.n_lights):
         raise InputError(
             f"these targets are for {targets.width_px}x{targets.height_px} pixels and "
             f"{targets.n_lights} lights, not {camera.width_px}x{camera.height_px} and {len(lights)}"
         )
-    lit = [scene.lit_by(light, clamped=settings.clamp) for light in lights]
+    lit: list[LitScene] = []
     cut_at_near = is_cut_at_near(scene.cache, camera)
     negative, highest = [0] * len(lights), [0] * len(lights)
     scene.bind()
@@ -180,6 +177,8 @@ def draw(
             displace(scene.programs, targets, uniforms)
         with meter.measure("ambient"):
             add_ambient(scene.programs, targets, uniforms)
+        # Only now: silhouettes are looked for while the driver draws what is seen.
+        lit = lit or [scene.lit_by(light, clamped=settings.clamp) for light in lights]
         for i, lit_scene in enumerate(lit):
             of_light = {**uniforms, **lit_scene.uniforms, "brightness": BRIGHTNESS / len(lit)}
             scene.bind_light(lit_scene)

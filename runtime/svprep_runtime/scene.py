@@ -113,7 +113,9 @@ class Scene:
         self.programs = Programs(context)
         self.memory = r.Memory(context, budget_bytes)
         self._lights: dict[tuple[bytes, bool], LitScene] = {}
+        # Read and uploaded when first drawn: what is seen needs neither.
         self._neighbours: moderngl.Buffer | None = None
+        self._edges: moderngl.Buffer | None = None
         try:
             mesh = cache.mesh
             self.n_faces = len(mesh.faces)
@@ -123,7 +125,6 @@ class Scene:
             self._bound = (
                 (r.POSITIONS, self.memory.upload(mesh.positions, "the positions")),
                 (r.CORNERS, self.memory.upload(mesh.faces, "the faces")),
-                (r.EDGE_VERTICES, self.memory.upload(edge_vertices(cache.edges), "the edges")),
             )
             self.tally = self.memory.upload(np.zeros(4, np.uint32), "the tally")
         except BaseException:
@@ -230,11 +231,16 @@ class Scene:
     def bind_batch(self, batch: Batch) -> None:
         """Bind what draws of a batch read."""
         batch.entries.bind_to_storage_buffer(r.ENTRIES)
-        if any(draw.kind == "faces" for draw in batch.draws):
+        kinds = {draw.kind for draw in batch.draws}
+        if "faces" in kinds:
             if self._neighbours is None:
                 table = face_neighbours(self.cache.mesh, self.cache.edges)
                 self._neighbours = self.memory.upload(table, "the neighbours of faces")
             self._neighbours.bind_to_storage_buffer(r.NEIGHBOURS)
+        if kinds & {"sides", "sides_to_point"}:
+            if self._edges is None:
+                self._edges = self.memory.upload(edge_vertices(self.cache.edges), "the edges")
+            self._edges.bind_to_storage_buffer(r.EDGE_VERTICES)
 
 
 def _corners_of_box(positions: F32) -> F64:

@@ -73,6 +73,8 @@ class Targets:
         self.count = self._texture(g.GL_R32F)
         self.radiance = self._texture(g.GL_RGBA32F)
         self.votes = [self._texture(g.GL_R32F) for _ in range(self.n_lights)]
+        if gl.glGetError():
+            raise self._no_memory()
         self.see_into = self._framebuffer([self.seen], with_depth=True)
         self.count_into = self._framebuffer([self.count], with_depth=True)
         self.displace_into = self._framebuffer([], with_depth=True)
@@ -81,10 +83,13 @@ class Targets:
         ]
         self.ambient_into = self._framebuffer([self.radiance], with_depth=False)
         if gl.glGetError():
-            raise EnvironmentProblem(
-                f"no graphics memory for a picture of {self.width_px}x{self.height_px}; "
-                "a smaller one: --size"
-            )
+            raise self._no_memory()
+
+    def _no_memory(self) -> EnvironmentProblem:
+        return EnvironmentProblem(
+            f"no graphics memory for a picture of {self.width_px}x{self.height_px}; "
+            "a smaller one: --size"
+        )
 
     def _texture(self, format_: int) -> int:
         gl = self.context.gl

@@ -21,7 +21,8 @@ from svprep_runtime import context as contexts
 from svprep_runtime import gl_raw as g
 from svprep_runtime import programs
 from svprep_runtime.context import Context, headless
-from svprep_runtime.frame import Settings, render
+from svprep_runtime.frame import Settings, draw, render
+from svprep_runtime.measure import Meter
 from svprep_runtime.scene import MOST_BATCHES, Scene
 from svprep_runtime.targets import Targets
 from tests.gpu.scenes import built, camera_of, every_setting, light_of
@@ -142,12 +143,36 @@ def test_measured_frames_leave_no_queries(
     targets = make_targets(64, 64, 1)
     with Scene(nothing_leaks, prepared) as scene:
         first = render(scene, targets, camera, [light], with_figures=True)
-        assert {"see", "ambient", "z-pass", "light"} <= {one.name for one in first.figures}
+        assert {"see", "displace", "ambient", "z-pass", "light"} <= {
+            one.name for one in first.figures
+        }
         before = live(nothing_leaks)
         for _ in range(20):
             picture = render(scene, targets, camera, [light], with_figures=True)
             assert [one.name for one in picture.figures] == [one.name for one in first.figures]
         assert live(nothing_leaks) == before
+
+
+def test_a_pass_that_fails_leaves_no_queries_either(nothing_leaks: Context) -> None:
+    meter = Meter(nothing_leaks, is_on=True)
+    for _ in range(3):
+        with pytest.raises(ZeroDivisionError), meter.measure("see"):
+            raise ZeroDivisionError
+    assert meter.figures() == ()
+    with meter.measure("see", 1):
+        pass
+    (figures,) = meter.figures()
+    assert (figures.name, figures.light, figures.n_samples) == ("see", 1, 0)
+    assert meter.figures() == ()
+
+
+def test_a_meter_that_is_off_asks_nothing(
+    nothing_leaks: Context, make_targets: MakeTargets, prepared: Prepared
+) -> None:
+    camera = camera_of(prepared, (-9.0, -14.0, 12.0), (0.3, 0.2, 1.0))
+    with Scene(nothing_leaks, prepared) as scene:
+        picture = render(scene, make_targets(64, 64, 1), camera, [light_of(prepared, SUN)])
+    assert picture.figures == ()
 
 
 def test_a_light_that_moves_leaves_nothing_behind(
@@ -204,7 +229,7 @@ def test_a_second_context_leaves_the_first_alone(
 
 
 def test_a_budget_too_small_for_the_scene(nothing_leaks: Context, prepared: Prepared) -> None:
-    for n_bytes, what in ((0, "positions"), (300, "faces"), (600, "edges")):
+    for n_bytes, what in ((0, "positions"), (300, "faces")):
         with pytest.raises(EnvironmentProblem, match=f"the {what} take .* budget is") as error:
             Scene(nothing_leaks, prepared, budget_bytes=n_bytes)
         assert "--memory" in one_line(error)
@@ -231,9 +256,8 @@ def test_a_budget_too_small_for_a_light(
             scene.forget(light)
             assert scene.memory.used_bytes == used, told
         names = {"the facing of faces", "the segments", "the volumes of a light"}
-        assert told == names | (
-            {"the neighbours of faces"} if construction == "geometry" else set()
-        )
+        own = {"vertex": "the edges", "geometry": "the neighbours of faces"}
+        assert told == names | {own[construction]}
         scene.memory.budget_bytes = whole
         render(scene, targets, camera, [light], one)
 
@@ -375,6 +399,44 @@ def test_settings_that_name_nothing(
         assert not scene.lit_by(light_of(prepared, SUN), clamped=True).batches
 
 
+@pytest.mark.parametrize("size", [(64, 63, 1), (63, 64, 1), (128, 128, 1), (64, 64, 2)], ids=str)
+def test_targets_of_another_picture(
+    nothing_leaks: Context, make_targets: MakeTargets, prepared: Prepared, size: tuple[int, ...]
+) -> None:
+    camera = camera_of(prepared, (-9.0, -14.0, 12.0), (0.3, 0.2, 1.0))
+    lights = [light_of(prepared, SUN)]
+    targets = make_targets(*size)
+    told = rf"{size[0]}x{size[1]} pixels and {size[2]} lights, not 64x64 and 1"
+    with Scene(nothing_leaks, prepared) as scene:
+        for run in (
+            lambda: render(scene, targets, camera, lights),
+            lambda: draw(
+                scene, targets, camera, lights, Settings(), Meter(nothing_leaks, is_on=False)
+            ),
+        ):
+            with pytest.raises(InputError, match=told) as error:
+                run()
+            one_line(error)
+
+
+def test_a_picture_without_lights_is_refused_and_a_night_is_drawn(
+    nothing_leaks: Context, make_targets: MakeTargets, prepared: Prepared
+) -> None:
+    camera = camera_of(prepared, (-9.0, -14.0, 12.0), (0.3, 0.2, 1.0))
+    targets = make_targets(64, 64, 0)
+    with Scene(nothing_leaks, prepared) as scene:
+        with pytest.raises(InputError, match="at least one light") as error:
+            render(scene, targets, camera, [])
+        one_line(error)
+        meter = Meter(nothing_leaks, is_on=True)
+        assert draw(scene, targets, camera, [], Settings(), meter) == ()
+    assert [one.name for one in meter.figures()] == ["see", "displace", "ambient"]
+    radiance, is_city = targets.read_radiance(), targets.read_seen() != 0
+    assert is_city.any()
+    assert (radiance[is_city].max(axis=-1) < 0.29).all()  # the sky's light alone
+    assert (radiance[~is_city] == radiance[0, 0]).all()
+
+
 def test_a_damaged_cache(nothing_leaks: Context, prepared: Prepared, tmp_path: Path) -> None:
     for dataset in ("mesh/positions", "mesh/face_corners", "edges/half_edges"):
         path = tmp_path / f"{dataset.replace('/', '_')}.svp.h5"
@@ -384,8 +446,12 @@ def test_a_damaged_cache(nothing_leaks: Context, prepared: Prepared, tmp_path: P
         whole = bytearray(path.read_bytes())
         whole[at] ^= 0x40
         path.write_bytes(whole)
-        with open_cache(path) as cache, pytest.raises(CacheError) as error:
-            Scene(nothing_leaks, cache)
+        with (
+            open_cache(path) as cache,
+            pytest.raises(CacheError) as error,
+            Scene(nothing_leaks, cache) as scene,
+        ):
+            scene.lit_by(light_of(prepared, SUN), clamped=True)
         assert path.name in one_line(error)
 
 
@@ -410,7 +476,7 @@ def test_a_city_of_nothing_is_sky(
     nothing_leaks: Context, make_targets: MakeTargets, one: Settings
 ) -> None:
     empty = nothing()
-    camera = camera_of(empty, (-9.0, -14.0, 12.0), (0.3, 0.2, 1.0))
+    camera = camera_of(empty, (-9.0, -14.0, 12.0), (0.3, 0.2, 1.0), (8, 8))
     targets = make_targets(8, 8, 1)
     with Scene(nothing_leaks, empty) as scene:
         picture = render(scene, targets, camera, [light_of(empty, SUN)], one)

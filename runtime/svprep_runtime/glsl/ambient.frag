@@ -21,5 +21,6 @@ void main() {
     vec3 a = corner(face, 0u);
     vec3 n = normalize(cross(corner(face, 1u) - a, corner(face, 2u) - a));
     if ((seen & 0x80000000u) == 0u) n = -n;
-    radiance = vec4(vec3(0.22, 0.24, 0.28) * (0.75 + 0.25 * n.z), 1.0);
+    // A little by compass direction, so that two walls in shadow are told apart.
+    radiance = vec4(vec3(0.20, 0.22, 0.26) * (0.8 + 0.2 * n.z + 0.14 * n.x + 0.07 * n.y), 1.0);
 }

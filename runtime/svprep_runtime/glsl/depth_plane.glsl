@@ -36,7 +36,8 @@ void set_depth_plane(vec4 a, vec4 b, vec4 c) {
             depth_range.y = 1e30;
         }
     }
-    depth_plane = vec3(0.0);
+    // The eye lies in the triangle's plane: wherever rounding draws it, it is as near as can be.
+    depth_plane = vec3(depth_range.y, 0.0, 0.0);
     if (volume == 0.0) return;
     q *= double(near_m) / volume;
     dvec3 corner = dvec3(ray_corner) - double(offset_px.x) * dvec3(ray_right)
@@ -51,6 +52,9 @@ flat in vec2 depth_range;
 float plane_depth() {
     precise float z = depth_plane.x + depth_plane.y * gl_FragCoord.x
                       + depth_plane.z * gl_FragCoord.y;
+    // With a corner behind the eye, rounding may draw the triangle on the eye's other side,
+    // where its plane lies behind the eye: just as near as its mirror image before it.
+    if (depth_range.y > 1e29) z = abs(z);
     return clamp(z, depth_range.x, depth_range.y);
 }
 #endif

@@ -2,15 +2,23 @@
 layout(triangles) in;
 layout(triangle_strip, max_vertices = 3) out;
 
+#define WRITES_PLANE
 #include "position.glsl"
+#include "depth_plane.glsl"
+#include "inner_depth.glsl"
 
 invariant gl_Position;
 
 void main() {
+    vec4 p[3];
     for (uint k = 0u; k < 3u; k++) {
-        uint vertex = corners[3u * uint(gl_PrimitiveIDIn) + k];
+        p[k] = vec4(position_of(corners[3u * uint(gl_PrimitiveIDIn) + k]), 1.0);
+    }
+    for (uint k = 0u; k < 3u; k++) {
+        set_depth_plane(p[0], p[1], p[2]);
+        set_edges(p[0], p[1], p[2]);
         gl_PrimitiveID = gl_PrimitiveIDIn;
-        gl_Position = clip_from_world(vec4(position_of(vertex), 1.0));
+        gl_Position = clip_from_world(p[k]);
         EmitVertex();
     }
     EndPrimitive();

@@ -1,8 +1,16 @@
 // The scene: vertex k of the draw is corner k of the faces, in their own order.
+#define WRITES_PLANE
 #include "position.glsl"
+#include "depth_plane.glsl"
+#include "inner_depth.glsl"
 
 invariant gl_Position;
 
 void main() {
-    gl_Position = clip_from_world(vec4(position_of(corners[gl_VertexID]), 1.0));
+    uint first = 3u * (uint(gl_VertexID) / 3u);
+    vec4 p[3];
+    for (uint k = 0u; k < 3u; k++) p[k] = vec4(position_of(corners[first + k]), 1.0);
+    set_depth_plane(p[0], p[1], p[2]);
+    set_edges(p[0], p[1], p[2]);
+    gl_Position = clip_from_world(p[gl_VertexID % 3]);
 }

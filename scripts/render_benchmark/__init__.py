@@ -1,0 +1,1 @@
+"""What `scripts/benchmark_render.py` measures, and how it reports it."""

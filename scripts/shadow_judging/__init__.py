@@ -1,0 +1,1 @@
+"""How `scripts/judge_shadows.py` chooses pictures, judges them and keeps what it found."""
