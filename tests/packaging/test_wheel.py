@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -115,6 +116,19 @@ def build_and_validate(command: list[str | Path], folder: Path, env: dict[str, s
         run(*command, "validate", f"{model.stem}.svp.h5", cwd=folder, env=env)
 
 
+def draw(command: list[str | Path], folder: Path, env: dict[str, str]) -> None:
+    """Draw a cache: shaders come out of the wheel, and a box casts a shadow."""
+    view = ["--light", "dir:110,40", "--camera=-9,-12,9,2,2,1", "--size", "96x64"]
+    cache = "cube.svp.h5"
+    said = run(
+        *command, "render", cache, *view, "--mask", "mask.png", "--json", cwd=folder, env=env
+    )
+    (light,) = json.loads(said.stdout)["lights"]
+    assert 0.1 < light["shadow_share"] < 0.9
+    for name in ("cube.png", "mask.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+
+
 def test_the_wheel_holds_the_packages_and_nothing_else(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
@@ -136,7 +150,9 @@ def test_the_wheel_works_outside_the_checkout(installed: Path, elsewhere: Path) 
     code = "import svprep; print(svprep.__file__)"
     where = run(sys.executable, "-c", code, cwd=elsewhere, env=env).stdout
     assert Path(where.strip()).is_relative_to(installed)
-    build_and_validate([sys.executable, installed / "bin" / "svprep"], elsewhere, env)
+    command = [sys.executable, installed / "bin" / "svprep"]
+    build_and_validate(command, elsewhere, env)
+    draw(command, elsewhere, env)
 
 
 def test_a_read_only_install_without_a_home_works(
@@ -165,11 +181,13 @@ def test_the_wheel_installs_into_an_empty_environment(
     wheel: Path, elsewhere: Path, empty_environment: Path
 ) -> None:
     command = [empty_environment / "python", "-m", "pip", "install", "--quiet", "--no-input"]
-    command += ["--disable-pip-version-check", "--retries", "2", wheel]
+    command += ["--disable-pip-version-check", "--retries", "2", f"{wheel}[view]"]
     try:
         run(*command, cwd=elsewhere, env=clean_environment())
     except AssertionError as error:
         if any(sign in str(error) for sign in NO_NETWORK):
             pytest.skip("the package index cannot be reached")
         raise
-    build_and_validate([empty_environment / "svprep"], elsewhere, clean_environment())
+    command = [empty_environment / "svprep"]
+    build_and_validate(command, elsewhere, clean_environment())
+    draw(command, elsewhere, clean_environment())

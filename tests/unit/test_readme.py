@@ -18,7 +18,7 @@ def run(line: str, folder: Path) -> str:
     done = subprocess.run(
         ["bash", "-c", function + line],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'runtime'}"},
         capture_output=True,
         text=True,
         check=True,
@@ -56,7 +56,7 @@ def test_the_python_example_runs(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=tmp_path / "out",
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'runtime'}"},
         capture_output=True,
         text=True,
         check=True,
