@@ -38,6 +38,8 @@ LIFT_PX: Final = 1.0 / 128.0
 """How far X is displaced: twice what a rasteriser with 8 sub-pixel bits rounds a vertex by,"""
 LIFT_ULPS: Final = 8.0
 """and at least so many float32 ulps of the model's largest coordinate."""
+MOST_LIFT_M: Final = 0.01
+"""and at most this: what stands 2 cm above a surface shades it, however far away it is seen."""
 MOST_SLANT: Final = 4.0
 """X moves along its ray, at most so many times farther than along the normal."""
 
@@ -299,12 +301,14 @@ def lift_uniforms(scene: Scene, camera: Camera) -> dict[str, float]:
     least_m = LIFT_ULPS * scene.ulp_m
     a_pixel = float(np.linalg.norm(np.diff(camera.directions(_ONE_APART, _LEVEL), axis=0)))
     farthest = float(((scene.corners - camera.eye) @ camera.forward).max())
-    most_m = max(LIFT_PX * a_pixel * max(farthest, 0.0), least_m)
+    most_m = max(MOST_LIFT_M, least_m)
+    reached_m = min(max(LIFT_PX * a_pixel * farthest, least_m), most_m)
     return {
         "lift_px": LIFT_PX,
         "least_lift_m": least_m,
         "most_slant": MOST_SLANT,
-        "reach_m": MOST_SLANT * most_m,
+        "most_lift_m": most_m,
+        "reach_m": MOST_SLANT * reached_m,
     }
 
 

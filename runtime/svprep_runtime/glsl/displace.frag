@@ -15,6 +15,7 @@ uniform vec3 ray_up;
 uniform vec2 offset_px;    // by which the picture is shifted for this sample
 uniform float lift_px;     // displacement, in pixels at the depth of X,
 uniform float least_lift_m;
+uniform float most_lift_m;
 
 uniform float most_slant;   // a ray that grazes is followed no farther than this many lifts
 
@@ -39,7 +40,8 @@ void main() {
     double slope = abs(dot(n, ray));
     double depth = slope > 0.0 ? abs(dot(n, a)) / slope : da;
     depth = clamp(depth, min(da, min(db, dc)), max(da, max(db, dc)));
-    double lift = max(double(lift_px) * length(dvec3(ray_right)) * depth, double(least_lift_m));
+    double lift = clamp(double(lift_px) * length(dvec3(ray_right)) * depth,
+                        double(least_lift_m), double(most_lift_m));
     double length_n = length(n), length_ray = length(ray);
     double slant = slope * double(most_slant) > length_n * length_ray ? length_n / slope
                                                               : double(most_slant) / length_ray;
