@@ -275,9 +275,9 @@ def validate(
             samples=samples,
             memory=memory,
         )
-        _say_default_light(light)
         with _progress() as tell:
             judged = cli_shadows.judge(_cache_not_model(cache), view_options, difference, tell)
+        _say_default_light(light)
         _show(judged, cli_shadows.summary_lines(judged), as_json=as_json)
         if not cli_shadows.is_clean(judged):
             raise typer.Exit(1)
@@ -456,8 +456,8 @@ def render(
         memory=memory,
     )
     query = cli_render.query_of(_cache_not_model(cache), view_options, output, mask)
-    _say_default_light(light)
     summary = cli_render.answer(query, with_figures=stats or as_json)
+    _say_default_light(light)
     _show(summary, cli_render.summary_lines(summary), as_json=as_json)
 
 
@@ -514,7 +514,7 @@ def _show(summary: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
 def _say_default_light(lights: list[str] | None) -> None:
     if not lights:
         print(
-            "svprep: no --light SPEC is given: dir:135,40 (azimuth 135, altitude 40)",
+            "svprep: no --light SPEC is given; using dir:135,40 (azimuth 135, altitude 40)",
             file=sys.stderr,
         )
 

@@ -324,9 +324,13 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
         lines.append(f"light    {light['words']}: {share}; {clamped}")
         if light["negative_counts"]:
             lines.append(
-                f"warning  {light['negative_counts']} pixels counted below 0, which a closed "
-                "volume cannot do: taken for lit"
+                f"note     pixels whose count fell below 0, where slivers meet within a "
+                f"rasteriser's grid; drawn as lit: {light['negative_counts']}"
             )
+    if not summary["surface_pixels"]:
+        lines.append(
+            "warning  nothing of the model is in view; without --camera all of it is shown"
+        )
     lines.append(f"camera   --camera {summary['camera']}")
     for each in summary["passes"]:
         lines.append(

@@ -12,6 +12,7 @@ from svprep.cli_render import IMAGE, ViewOptions, png, request_of, require_pillo
 from svprep.errors import require_extra
 from svprep.output_file import write_whole
 
+_LEAST_SHARE: Final = 0.6
 _MOST_LISTED: Final = 12
 """Pixels and overlaps that are listed for people; --json lists all."""
 
@@ -54,7 +55,7 @@ def judge(
             tell(f"judging light {i + 1} of {len(request.lights)}", 1 + i, 1 + len(request.lights))
             truth = rays.truth(drawn.camera, light.in_cache_frame(cache.grid))
             mask = np.where(drawn.picture.in_shadow[i], 255, 0).astype(np.uint8)
-            compared = compare(truth, mask)
+            compared = compare(truth, mask, drawn.picture.is_surface)
             if difference is not None and (compared.n_differing or i == 0):
                 picture = difference_picture(truth, mask)
                 write_whole(IMAGE.checked_path(difference, [path]), [png(picture)])
@@ -104,8 +105,11 @@ def _pixel(cache: Cache, truth: Any, row: int, column: int) -> dict[str, Any]:
 
 
 def is_clean(summary: dict[str, Any]) -> bool:
-    """Return whether no decidable pixel differs, and no sky is in shadow."""
-    return not any(x["differing_pixels"] or x["shadow_in_sky"] for x in summary["lights"])
+    """Return whether pixels could be judged, none of them differs, and no sky shows a surface."""
+    return all(
+        x["decidable_pixels"] and not x["differing_pixels"] and not x["shadow_in_sky"]
+        for x in summary["lights"]
+    )
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
@@ -125,12 +129,24 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
         for pixel in light["differing"][:_MOST_LISTED]:
             lines.append(
                 f"differs  row {pixel['row']}, column {pixel['column']}: "
-                f"{pixel['object']}, {pixel['by_rays']} by rays"
+                f"{pixel['object']}, {pixel['by_rays']} by rays, drawn otherwise"
             )
         if len(light["differing"]) > _MOST_LISTED:
             lines.append(f"differs  ... and {len(light['differing']) - _MOST_LISTED} more (--json)")
         if light["shadow_in_sky"]:
-            lines.append(f"differs  {light['shadow_in_sky']} pixels of sky are in shadow")
+            lines.append(f"differs  pixels of sky that show a surface: {light['shadow_in_sky']}")
+        if not light["decidable_pixels"]:
+            lines.append("differs  nothing to judge: no pixel is decidable; choose another camera")
+        elif light["decidable_share"] < _LEAST_SHARE:
+            lines.append(
+                f"warning  below {_LEAST_SHARE:.0%} decidable, this view says little: choose a "
+                "nearer camera or a larger --size"
+            )
+        if light["negative_counts"]:
+            lines.append(
+                f"note     pixels whose count fell below 0, drawn as lit: "
+                f"{light['negative_counts']}"
+            )
         for overlap in light["overlaps"][:_MOST_LISTED]:
             first, second = overlap["objects"]
             lines.append(f"overlap  {first} and {second} coincide on {overlap['pixels']:,} pixels")
@@ -139,5 +155,9 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     if summary["difference"]:
         lines.append(f"image    {summary['difference']}")
     lines.append(f"seconds  {summary['seconds']:.2f}")
-    lines.append("valid" if is_clean(summary) else "not valid: pixels differ from rays")
+    lines.append(
+        "valid"
+        if is_clean(summary)
+        else "not valid: pixels differ from rays, or none could be judged"
+    )
     return lines

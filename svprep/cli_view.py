@@ -60,7 +60,7 @@ def view(
     except ImportError as error:
         raise require_extra(error.name or "moderngl", "view", "svprep view") from None
     if not lights:
-        tell(f"no --light SPEC is given: {DEFAULT_SPEC} (azimuth 135, altitude 40)")
+        tell(f"no --light SPEC is given; using {DEFAULT_SPEC} (azimuth 135, altitude 40)")
     settings = Settings(
         method=next(m for m in methods if m == method),
         clamp=clamp == "auto",

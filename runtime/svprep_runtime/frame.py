@@ -22,11 +22,12 @@ from svprep.model import BOOL, F32, U8
 from svprep_runtime.camera import Camera
 from svprep_runtime.eye import eye_count, is_cut_at_near
 from svprep_runtime.measure import Meter, PassFigures
-from svprep_runtime.near_plane import sort_components
+from svprep_runtime.near_plane import is_projected, sort_components
 from svprep_runtime.passes.counting import Counter, When, count, count_near_plane
 from svprep_runtime.passes.lighting import add_ambient, add_light
 from svprep_runtime.passes.visible import displace, see
 from svprep_runtime.scene import Construction, LitScene, Scene
+from svprep_runtime.state import PassState, apply
 from svprep_runtime.targets import Targets
 
 Method = Literal["auto", "zpass", "zfail", "zp+"]
@@ -34,8 +35,9 @@ METHODS: Final[tuple[Method, ...]] = get_args(Method)
 BRIGHTNESS: Final = 0.68
 """Of all lights together, on a surface that faces them: with the sky's, just below white."""
 SAMPLE_RADIUS_PX: Final = 0.35
-LIFT_PX: Final = 1.0 / 128.0
-"""How far X is displaced: twice what a rasteriser with 8 sub-pixel bits rounds a vertex by,"""
+LIFT_PX: Final = 1.0 / 512.0
+"""How far X is displaced: of 1/1024 to 1/128 the one with the fewest pixels that differ from
+rays (11 million pixels of five cities),"""
 LIFT_ULPS: Final = 8.0
 """and at least so many float32 ulps of the model's largest coordinate."""
 MOST_LIFT_M: Final = 0.01
@@ -50,7 +52,11 @@ _LEVEL: Final = np.array([0.0, 0.0])
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How to draw. Every choice gives the same shadows; zp+ is there to compare with."""
+    """How to draw: zp+ and the stencil counter are there to compare with.
+
+    All else gives the same shadows, save where the rasteriser's rounding shows through
+    (ARCHITECTURE.md, "Pictures").
+    """
 
     method: Method = "auto"
     """``"auto"``: z-pass, which never draws more than z-fail does. Volumes that end at the
@@ -151,11 +157,12 @@ def draw(
     """
     checked(settings)
     fits = (camera.width_px, camera.height_px) == (targets.width_px, targets.height_px)
-    if not fits or (lights and len(lights) != targets.n_lights):
+    if not fits or len(lights) > targets.n_lights:
         raise InputError(
             f"these targets are for {targets.width_px}x{targets.height_px} pixels and "
             f"{targets.n_lights} lights, not {camera.width_px}x{camera.height_px} and {len(lights)}"
         )
+    apply(scene.context.gl, PassState())  # clearing obeys the scissor and the masks
     lit: list[LitScene] = []
     cut_at_near = is_cut_at_near(scene.cache, camera)
     negative, highest = [0] * len(lights), [0] * len(lights)
@@ -226,7 +233,10 @@ def _count(
                 with_own_caps=own_caps,
             )
 
-    match settings.method:
+    method = settings.method
+    if method == "zp+" and not is_projected(lit.casters.light, camera):
+        method = "zpass"
+    match method:
         case "zfail":
             targets.clear_count(0, settings.counter)
             draw("behind", None, own_caps=True, name="z-fail")

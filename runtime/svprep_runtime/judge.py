@@ -314,7 +314,9 @@ def _states(
     starts = (seen.point[asked] + n_offsets * seen.lift[asked]).astype(np.float32)
     if lamp:
         ends = view.lights[0, :3].astype(np.float64) if at is None else at[asked]
-        is_blocked = _is_blocked_before(scene, starts, ends, view.offset_m)
+        # Ended as far before the lamp as it starts from the surface: the least displacement
+        # finds what stands right before the lamp, and then the pixel cannot be told.
+        is_blocked = _is_blocked_before(scene, starts, ends, min(n_offsets, 1.0) * view.offset_m)
     else:
         is_blocked = scene.is_blocked(starts, view.lights[nth_light, :3])
     state[asked[~is_blocked]] = _LIT

@@ -63,8 +63,8 @@ class Comparison:
     differing: I64
     """``(n_differing, 2)``: row and column of the decidable pixels that differ, in order."""
     n_shadow_in_sky: int
-    """Pixels that the mask has in shadow, in the middle of 3 x 3 of sky. They are in none of
-    the other numbers."""
+    """Pixels that the mask has in shadow, or that show a surface, in the middle of 3 x 3 of
+    sky. They are in none of the other numbers."""
 
     @property
     def n_differing(self) -> int:
@@ -82,13 +82,16 @@ class Comparison:
         return 1e6 * self.n_differing / self.n_decidable if self.n_decidable else 0.0
 
 
-def compare(truth: Truth, mask: U8) -> Comparison:
+def compare(truth: Truth, mask: U8, is_surface: BOOL | None = None) -> Comparison:
     """Return where a mask and the truth differ.
 
     Parameters
     ----------
     mask : ndarray
         ``(height, width) uint8``: 255 in shadow, 0 lit or sky.
+    is_surface : ndarray, optional
+        ``(height, width) bool``: where the picture shows a surface. With it, a decidable
+        pixel that shows none differs, and so does one that shows some in the middle of sky.
 
     Raises
     ------
@@ -96,7 +99,10 @@ def compare(truth: Truth, mask: U8) -> Comparison:
         The mask is of another size or dtype, or holds another value.
     """
     is_dark = _checked_mask(truth, mask) == SHADOW
+    shown = is_dark if is_surface is None else is_dark | is_surface
     is_wrong = truth.is_decidable & (is_dark != truth.in_shadow)
+    if is_surface is not None:
+        is_wrong |= truth.is_decidable & ~is_surface
     height, width = truth.is_surface.shape
     # Beyond the picture's edge is nothing known: it counts as surface.
     near = np.ones((height + 2, width + 2), bool)
@@ -109,7 +115,7 @@ def compare(truth: Truth, mask: U8) -> Comparison:
         n_surface=int(truth.is_surface.sum()),
         n_decidable=int(truth.is_decidable.sum()),
         differing=np.argwhere(is_wrong),
-        n_shadow_in_sky=int((is_dark & ~is_near).sum()),
+        n_shadow_in_sky=int((shown & ~is_near).sum()),
     )
 
 

@@ -9,15 +9,33 @@ component, with its segments:
     a segment ends at the rectangle    whole, and its faces are projected
 
 Of point lights every volume is drawn whole: where a segment ends depends on the face.
+
+A light in the near plane, or parallel to it, projects nothing onto it: zp+ does not exist
+there, and z-pass counts instead.
 """
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
-from svprep.model import BOOL
+from svprep.model import BOOL, F32
 from svprep_runtime.camera import Camera
 from svprep_runtime.volumes import CastersOf, Segments
+
+_LEAST_SLOPE: Final = 1e-3
+
+
+def is_projected(light: F32, camera: Camera) -> bool:
+    """Return whether a light casts onto the near plane of a camera at all."""
+    forward = camera.forward
+    towards = light[:3].astype(np.float64)
+    if light[3] == 0.0:
+        return abs(float(towards @ forward)) > _LEAST_SLOPE * float(np.linalg.norm(towards))
+    away = towards - camera.eye
+    reach = float(away @ forward) - camera.near_m
+    return abs(reach) > _LEAST_SLOPE * float(np.linalg.norm(away))
 
 
 def sort_components(

@@ -44,6 +44,8 @@ Construction = Literal["vertex", "geometry", "triangles"]
 """Who makes volumes: vertex shaders from silhouette edges; a geometry shader from faces and
 their neighbours; the same of each triangle alone, to compare with."""
 
+MOST_LIGHTS: Final = 64
+"""Kept of those that were drawn; beyond, the one asked for first goes."""
 MOST_BATCHES: Final = 6
 """Kept of a light; the one used longest ago goes."""
 
@@ -159,6 +161,9 @@ class Scene:
         """Return what a light adds; looked up, or computed and uploaded."""
         key = (light.tobytes(), clamped)
         if key not in self._lights:
+            while len(self._lights) >= MOST_LIGHTS:
+                oldest = next(iter(self._lights))[0]
+                self.forget(np.frombuffer(oldest, np.float32))
             checked_light(light, self.cache.mesh.positions)
             other = self._lights.get((light.tobytes(), not clamped))
             casters = other.casters if other else casters_of(self.cache, light)

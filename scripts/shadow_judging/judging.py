@@ -114,7 +114,7 @@ class _OfModel:
         picture = self._draw(camera, light, shot)
         draw_s = time.perf_counter() - began
         mask = np.where(picture.in_shadow[0], 255, 0).astype(np.uint8)
-        compared = compare(truth, mask)
+        compared = compare(truth, mask, picture.is_surface)
         at = compared.differing[:MOST_PIXELS_LISTED]
         tally = picture.tallies[0]
         result = Result(

@@ -172,7 +172,7 @@ def problems_of(
     with stage.scene(prepared) as scene:
         for one in settings:
             picture, count = stage.draw(scene, camera, [light], one)
-            found = compare(truth, picture.mask)
+            found = compare(truth, picture.mask, picture.is_surface)
             what = f"{one.method} {one.construction} {one.counter} clamp={one.clamp}"
             if found.n_differing or found.n_shadow_in_sky:
                 problems.append(

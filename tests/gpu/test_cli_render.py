@@ -192,7 +192,7 @@ def test_by_default_the_light_is_told_and_the_picture_is_named_after_the_cache(
     capfd.readouterr()
     assert cli.run(["render", "elsewhere/town.svp.h5", "--size", "64x48", "--json"]) == 0
     out, err = capfd.readouterr()
-    assert err == "svprep: no --light SPEC is given: dir:135,40 (azimuth 135, altitude 40)\n"
+    assert err == "svprep: no --light SPEC is given; using dir:135,40 (azimuth 135, altitude 40)\n"
     summary = json.loads(out)
     assert summary["image"] == "town.png"
     assert summary["mask"] is None
@@ -541,11 +541,11 @@ def test_a_pixel_that_differs_is_named(
     assert (got["differing_pixels"], got["shadow_in_sky"]) == (2, 1)
     lines = said(*call, "--difference", "d.png", status=1)
     assert [line for line in lines if line.startswith("differs")] == [
-        "differs  row 24, column 22: ground, shadow by rays",
-        "differs  row 24, column 32: box, lit by rays",
-        "differs  1 pixels of sky are in shadow",
+        "differs  row 24, column 22: ground, shadow by rays, drawn otherwise",
+        "differs  row 24, column 32: box, lit by rays, drawn otherwise",
+        "differs  pixels of sky that show a surface: 1",
     ]
-    assert lines[-1] == "not valid: pixels differ from rays"
+    assert lines[-1].startswith("not valid: pixels differ from rays")
     assert "image    d.png" in lines
     is_red = (pixels("d.png") == (255, 0, 0)).all(axis=2)
     assert np.argwhere(is_red).tolist() == [list(shadow), list(roof)]

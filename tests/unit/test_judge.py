@@ -573,3 +573,22 @@ def test_a_truth_of_other_constants_is_refused(
     monkeypatch.setattr("svprep_runtime.judge_report.JUDGE_CONSTANTS", "looser ones")
     with pytest.raises(InputError, match="other constants"):
         load_truth(path, "key")
+
+
+def test_a_picture_that_lost_or_made_up_surfaces_differs() -> None:
+    truth = Truth(
+        in_shadow=np.zeros((6, 6), bool),
+        is_surface=np.tril(np.ones((6, 6), bool)),
+        is_decidable=np.tril(np.ones((6, 6), bool)),
+        face=np.where(np.tril(np.ones((6, 6), bool)), 0, -1).astype(np.int32),
+        overlaps=(),
+    )
+    mask = np.zeros((6, 6), np.uint8)
+    shown = truth.is_surface.copy()
+    assert compare(truth, mask, shown).n_differing == 0
+    shown[4, 1] = False
+    shown[1, 4] = True
+    found = compare(truth, mask, shown)
+    assert found.differing.tolist() == [[4, 1]]
+    assert found.n_shadow_in_sky == 1
+    assert compare(truth, mask).n_differing == 0  # a mask alone cannot tell

@@ -19,6 +19,13 @@ dvec3 from_eye(vec4 p) {
     return dvec3(p.xyz) - dvec3(eye) * double(p.w);
 }
 
+// The eye lies in the plane of these points: a face that is seen so shows no point, though a
+// rasteriser may draw one that passes through the eye all over the picture.
+bool is_edge_on(vec4 a, vec4 b, vec4 c) {
+    dvec3 va = from_eye(a);
+    return dot(va, cross(from_eye(b) - va, from_eye(c) - va)) == 0.0;
+}
+
 void set_depth_plane(vec4 a, vec4 b, vec4 c) {
     dvec3 va = from_eye(a), vb = from_eye(b), vc = from_eye(c);
     dvec3 across = cross(vb, vc);

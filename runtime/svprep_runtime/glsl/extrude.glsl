@@ -23,7 +23,7 @@ vec4 end_of_segment(vec3 p, uint segment, bool is_far) {
     if (depth >= ENDLESS) return vec4(p * light.w - light.xyz, 0.0);
     if (light.w != 0.0) {
         depth = is_far ? depth * (1.0 + REACH) : max(depth * (1.0 - REACH), 1.0);
-        return vec4(light.xyz + depth * (p - light.xyz), 1.0);
+        return vec4(p + (depth - 1.0) * (p - light.xyz), 1.0);  // exact at the caster itself
     }
     precise float at = dot(light_t, p) - s.z * dot(light_u, p) - s.w * dot(light_v, p);
     float reach = reach_m * sqrt(1.0 + s.z * s.z + s.w * s.w);

@@ -33,11 +33,7 @@ void main() {
     uint seen = texelFetch(seen_of_pixel, pixel, 0).r;
     radiance = vec4(0.0);
     in_shadow = 0.0;
-#ifdef IN_STENCIL
     int count = int(texelFetch(count_of_pixel, pixel, 0).r);
-#else
-    int count = int(texelFetch(count_of_pixel, pixel, 0).r);
-#endif
     if (count < 0) atomicAdd(tally[0], 1u);
     else if (count > 0) atomicMax(tally[1], uint(count));
     if (seen == 0u) return;
@@ -51,6 +47,7 @@ void main() {
         vec3 n = cross(corner(face, 1u) - a, corner(face, 2u) - a);
         vec3 towards = light.w != 0.0 ? light.xyz - a : light.xyz;
         float cosine = abs(dot(normalize(n), normalize(towards)));
-        radiance = vec4(vec3(brightness * cosine), 0.0);
+        // What is lit is told from what is not, however low the sun.
+        radiance = vec4(vec3(brightness * (0.12 + 0.88 * cosine)), 0.0);
     }
 }

@@ -12,5 +12,6 @@ void main() {
     for (uint k = 0u; k < 3u; k++) p[k] = vec4(position_of(corners[first + k]), 1.0);
     set_depth_plane(p[0], p[1], p[2]);
     set_edges(p[0], p[1], p[2]);
-    gl_Position = clip_from_world(p[gl_VertexID % 3]);
+    gl_Position = is_edge_on(p[0], p[1], p[2]) ? vec4(2.0, 2.0, 0.0, 1.0)
+                                               : clip_from_world(p[gl_VertexID % 3]);
 }

@@ -243,13 +243,16 @@ class Viewer:
         try:
             self.tallies = frame.draw(self.scene, on.targets, camera, drawn, settings, meter)
         except SvprepError as error:
-            if not self._accepted or _are_equal(self._accepted, vectors):
+            if not self._accepted or self._last is None:
                 raise
             c.message = str(error)
             return
         self._accepted = vectors
         self.figures = meter.figures()
-        self._over(on, camera, vectors[c.selected] if drawn else None, is_night=not lights)
+        try:
+            self._over(on, camera, vectors[c.selected] if drawn else None, is_night=not lights)
+        except SvprepError as error:  # an overlay that does not fit; the picture is there
+            c.message = str(error)
         self.context.gl.glFinish()
         self._frame_s = time.perf_counter() - begin
         if scale == 1:
@@ -285,7 +288,11 @@ class Viewer:
         self.scene.bind_light(lit)
         batch = self.scene.batch(lit, "vertex")
         self.scene.bind_batch(batch)
-        uniforms = {**frame.camera_uniforms(camera), **lit.uniforms}
+        uniforms = {
+            **frame.camera_uniforms(camera),
+            **frame.lift_uniforms(self.scene, camera),
+            **lit.uniforms,
+        }
         self._lay(uniforms, batch.draws, lit, camera)
 
     def _lay(self, uniforms: dict[str, Any], draws: Any, lit: LitScene, camera: Camera) -> None:
