@@ -165,14 +165,12 @@ def draw(
     apply(scene.context.gl, PassState())  # clearing obeys the scissor and the masks
     lit: list[LitScene] = []
     cut_at_near = is_cut_at_near(scene.cache, camera)
+    lift = lift_uniforms(scene, camera)
     negative, highest = [0] * len(lights), [0] * len(lights)
     scene.bind()
     targets.clear_sums()
     for offset in sample_offsets(settings.samples):
-        uniforms = {
-            **camera_uniforms(camera, offset),
-            **lift_uniforms(scene, camera),
-        }
+        uniforms = {**camera_uniforms(camera, offset), **lift}
         with meter.measure("see"):
             see(
                 scene.programs,

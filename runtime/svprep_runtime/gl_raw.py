@@ -17,7 +17,6 @@ from svprep.errors import EnvironmentProblem
 GL_ZERO: Final = 0
 GL_ONE: Final = 1
 GL_POINTS: Final = 0x0000
-GL_LINES: Final = 0x0001
 GL_TRIANGLES: Final = 0x0004
 GL_NEVER: Final = 0x0200
 GL_LESS: Final = 0x0201
@@ -44,12 +43,10 @@ GL_MAX_TEXTURE_SIZE: Final = 0x0D33
 GL_SUBPIXEL_BITS: Final = 0x0D50
 GL_TEXTURE_2D: Final = 0x0DE1
 GL_UNSIGNED_BYTE: Final = 0x1401
-GL_INT: Final = 0x1404
 GL_UNSIGNED_INT: Final = 0x1405
 GL_FLOAT: Final = 0x1406
 GL_INVERT: Final = 0x150A
 GL_COLOR: Final = 0x1800
-GL_DEPTH: Final = 0x1801
 GL_STENCIL: Final = 0x1802
 GL_STENCIL_INDEX: Final = 0x1901
 GL_DEPTH_COMPONENT: Final = 0x1902
@@ -72,21 +69,15 @@ GL_SAMPLES_PASSED: Final = 0x8914
 GL_PRIMITIVES_GENERATED: Final = 0x8C87
 GL_QUERY_RESULT: Final = 0x8866
 GL_RGBA8: Final = 0x8058
-GL_MULTISAMPLE: Final = 0x809D
-GL_TEXTURE0: Final = 0x84C0
 GL_DEPTH_STENCIL: Final = 0x84F9
 GL_INCR_WRAP: Final = 0x8507
 GL_DECR_WRAP: Final = 0x8508
 GL_RGBA32F: Final = 0x8814
-GL_RGBA16F: Final = 0x881A
 GL_R32F: Final = 0x822E
 GL_R32UI: Final = 0x8236
-GL_R8: Final = 0x8229
 GL_RED_INTEGER: Final = 0x8D94
 GL_DEPTH_CLAMP: Final = 0x864F
-GL_PROGRAM_POINT_SIZE: Final = 0x8642
 GL_DEPTH32F_STENCIL8: Final = 0x8CAD
-GL_FLOAT_32_UNSIGNED_INT_24_8_REV: Final = 0x8DAD
 GL_DEPTH_STENCIL_TEXTURE_MODE: Final = 0x90EA
 GL_LOWER_LEFT: Final = 0x8CA1
 GL_NEGATIVE_ONE_TO_ONE: Final = 0x935E
@@ -97,12 +88,9 @@ GL_FRAMEBUFFER: Final = 0x8D40
 GL_FRAMEBUFFER_COMPLETE: Final = 0x8CD5
 GL_COLOR_ATTACHMENT0: Final = 0x8CE0
 GL_DEPTH_STENCIL_ATTACHMENT: Final = 0x821A
-GL_FRAMEBUFFER_BINDING: Final = 0x8CA6
 GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS: Final = 0x90D6
 GL_MAX_GEOMETRY_SHADER_STORAGE_BLOCKS: Final = 0x90D7
 GL_MAX_SHADER_STORAGE_BLOCK_SIZE: Final = 0x90DE
-GL_MAX_GEOMETRY_OUTPUT_VERTICES: Final = 0x8DE0
-GL_NUM_EXTENSIONS: Final = 0x821D
 GL_OUT_OF_MEMORY: Final = 0x0505
 GL_DEPTH_ATTACHMENT: Final = 0x8D00
 GL_STENCIL_ATTACHMENT: Final = 0x8D20
@@ -158,7 +146,6 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "glIsVertexArray": (ctypes.c_ubyte, (_U,)),
     "glLineWidth": (None, (_F,)),
     "glMemoryBarrier": (None, (_U,)),
-    "glNamedFramebufferDrawBuffer": (None, (_U, _U)),
     "glNamedFramebufferDrawBuffers": (None, (_U, _I, _UP)),
     "glNamedFramebufferTexture": (None, (_U, _U, _U, _I)),
     "glPixelStorei": (None, (_U, _I)),

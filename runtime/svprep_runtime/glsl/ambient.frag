@@ -1,15 +1,9 @@
 // Light from the sky: brighter on what looks up; and the sky itself.
-layout(std430, binding = 0) readonly buffer Positions { float positions[]; };
-layout(std430, binding = 1) readonly buffer Corners { uint corners[]; };
+#include "mesh.glsl"
 
 layout(binding = 0) uniform usampler2D seen_of_pixel;
 
 layout(location = 0) out vec4 radiance;
-
-vec3 corner(uint face, uint k) {
-    uint v = 3u * corners[3u * face + k];
-    return vec3(positions[v], positions[v + 1u], positions[v + 2u]);
-}
 
 void main() {
     uint seen = texelFetch(seen_of_pixel, ivec2(gl_FragCoord.xy), 0).r;
@@ -18,8 +12,8 @@ void main() {
         return;
     }
     uint face = (seen & 0x7fffffffu) - 1u;
-    vec3 a = corner(face, 0u);
-    vec3 n = normalize(cross(corner(face, 1u) - a, corner(face, 2u) - a));
+    vec3 a = corner_of(face, 0u);
+    vec3 n = normalize(cross(corner_of(face, 1u) - a, corner_of(face, 2u) - a));
     if ((seen & 0x80000000u) == 0u) n = -n;
     // A little by compass direction, so that two walls in shadow are told apart.
     radiance = vec4(vec3(0.20, 0.22, 0.26) * (0.8 + 0.2 * n.z + 0.14 * n.x + 0.07 * n.y), 1.0);

@@ -19,6 +19,12 @@ dvec3 from_eye(vec4 p) {
     return dvec3(p.xyz) - dvec3(eye) * double(p.w);
 }
 
+// Of view depth 1: to the lower left corner of the picture, as this sample is shifted.
+dvec3 ray_of_sample() {
+    return dvec3(ray_corner) - double(offset_px.x) * dvec3(ray_right)
+           - double(offset_px.y) * dvec3(ray_up);
+}
+
 // The eye lies in the plane of these points: a face that is seen so shows no point, though a
 // rasteriser may draw one that passes through the eye all over the picture.
 bool is_edge_on(vec4 a, vec4 b, vec4 c) {
@@ -47,9 +53,7 @@ void set_depth_plane(vec4 a, vec4 b, vec4 c) {
     depth_plane = vec3(depth_range.y, 0.0, 0.0);
     if (volume == 0.0) return;
     q *= double(near_m) / volume;
-    dvec3 corner = dvec3(ray_corner) - double(offset_px.x) * dvec3(ray_right)
-                   - double(offset_px.y) * dvec3(ray_up);
-    depth_plane = vec3(float(dot(q, corner)), float(dot(q, dvec3(ray_right))),
+    depth_plane = vec3(float(dot(q, ray_of_sample())), float(dot(q, dvec3(ray_right))),
                        float(dot(q, dvec3(ray_up))));
 }
 #else

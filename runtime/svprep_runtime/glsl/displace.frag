@@ -1,8 +1,7 @@
 // X, displaced to the eye's side of its face: the depth that volumes are counted against.
 // Computed from the face's own plane through the centre of the sample, in float64: what the
 // rasteriser rounds, of this face or of a volume that begins on it, is less than `lift_px`.
-layout(std430, binding = 0) readonly buffer Positions { float positions[]; };
-layout(std430, binding = 1) readonly buffer Corners { uint corners[]; };
+#include "mesh.glsl"
 
 layout(binding = 0) uniform usampler2D seen_of_pixel;
 
@@ -19,9 +18,8 @@ uniform float most_lift_m;
 
 uniform float most_slant;   // a ray that grazes is followed no farther than this many lifts
 
-dvec3 corner(uint face, uint k) {
-    uint v = 3u * corners[3u * face + k];
-    return dvec3(positions[v], positions[v + 1u], positions[v + 2u]) - dvec3(eye);
+dvec3 from_eye(uint face, uint k) {
+    return dvec3(corner_of(face, k)) - dvec3(eye);
 }
 
 void main() {
@@ -31,7 +29,7 @@ void main() {
         return;
     }
     uint face = (seen & 0x7fffffffu) - 1u;
-    dvec3 a = corner(face, 0u), b = corner(face, 1u), c = corner(face, 2u);
+    dvec3 a = from_eye(face, 0u), b = from_eye(face, 1u), c = from_eye(face, 2u);
     dvec3 n = cross(b - a, c - a);
     vec2 at = gl_FragCoord.xy - offset_px;
     dvec3 ray = dvec3(ray_corner) + double(at.x) * dvec3(ray_right) + double(at.y) * dvec3(ray_up);

@@ -12,8 +12,7 @@ flat out vec3 edge_line[3];  // how far inside of each edge, in pixels = x + y c
 void set_edges(vec4 a, vec4 b, vec4 c) {
     dvec3 v[3] = dvec3[3](from_eye(a), from_eye(b), from_eye(c));
     double turn = dot(v[0], cross(v[1], v[2])) < 0.0 ? -1.0 : 1.0;
-    dvec3 corner = dvec3(ray_corner) - double(offset_px.x) * dvec3(ray_right)
-                   - double(offset_px.y) * dvec3(ray_up);
+    dvec3 corner = ray_of_sample();
     for (int k = 0; k < 3; k++) {
         dvec3 m = turn * cross(v[k], v[(k + 1) % 3]);
         dvec3 line = dvec3(dot(m, corner), dot(m, dvec3(ray_right)), dot(m, dvec3(ray_up)));

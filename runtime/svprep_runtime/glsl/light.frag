@@ -1,9 +1,9 @@
 // lit = nothing counted, and the side seen is the side that faces the light.
 // A count below 0 is impossible for closed volumes: where the rasteriser makes one, a sliver
 // was taken in the wrong order, nothing holds the point, and the pixel is tallied.
-layout(std430, binding = 0) readonly buffer Positions { float positions[]; };
-layout(std430, binding = 1) readonly buffer Corners { uint corners[]; };
-layout(std430, binding = 3) readonly buffer Facing { uint facing[]; };  // int8, four a word
+#include "mesh.glsl"
+#include "facing.glsl"
+
 layout(std430, binding = 6) buffer Tally { uint tally[]; };  // negative pixels, highest count
 
 layout(binding = 0) uniform usampler2D seen_of_pixel;
@@ -14,19 +14,10 @@ layout(binding = 1) uniform sampler2D count_of_pixel;
 #endif
 
 uniform vec4 light;
-uniform vec3 eye;
-uniform vec3 row_right;
-uniform vec3 row_up;
-uniform vec3 row_forward;
 uniform float brightness;
 
 layout(location = 0) out vec4 radiance;
 layout(location = 1) out float in_shadow;
-
-vec3 corner(uint face, uint k) {
-    uint v = 3u * corners[3u * face + k];
-    return vec3(positions[v], positions[v + 1u], positions[v + 2u]);
-}
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
@@ -38,13 +29,13 @@ void main() {
     else if (count > 0) atomicMax(tally[1], uint(count));
     if (seen == 0u) return;
     uint face = (seen & 0x7fffffffu) - 1u;
-    int s = int(facing[face >> 2u] << (24u - 8u * (face & 3u))) >> 24;
+    int s = facing_of(face);
     bool is_front = (seen & 0x80000000u) != 0u;
     bool is_lit = count <= 0 && s != 0 && (s > 0) == is_front;
     in_shadow = is_lit ? 0.0 : 1.0;
     if (is_lit) {
-        vec3 a = corner(face, 0u);
-        vec3 n = cross(corner(face, 1u) - a, corner(face, 2u) - a);
+        vec3 a = corner_of(face, 0u);
+        vec3 n = cross(corner_of(face, 1u) - a, corner_of(face, 2u) - a);
         vec3 towards = light.w != 0.0 ? light.xyz - a : light.xyz;
         float cosine = abs(dot(normalize(n), normalize(towards)));
         // What is lit is told from what is not, however low the sun.

@@ -2,8 +2,7 @@
 // Depth is reversed and infinite: near_m / view depth, 1 at the near plane, 0 at infinity.
 // `precise` and the fixed order of sums make equal points equal in every program.
 
-layout(std430, binding = 0) readonly buffer Positions { float positions[]; };  // x y z, [m]
-layout(std430, binding = 1) readonly buffer Corners { uint corners[]; };       // 3 a face
+#include "mesh.glsl"
 
 uniform vec3 eye;
 uniform vec3 row_right;    // scaled: the picture's edges are at -1 and 1
@@ -11,10 +10,6 @@ uniform vec3 row_up;
 uniform vec3 row_forward;
 uniform float near_m;
 uniform vec2 jitter;       // of the sample within its pixel, in clip units
-
-vec3 position_of(uint vertex) {
-    return vec3(positions[3u * vertex], positions[3u * vertex + 1u], positions[3u * vertex + 2u]);
-}
 
 // p.w = 1: a point. p.w = 0: the point at infinity in the direction p.xyz.
 vec4 clip_from_world(vec4 p) {

@@ -10,8 +10,8 @@ layout(triangle_strip, max_vertices = 24) out;
 #include "position.glsl"
 #include "extrude.glsl"
 #include "depth_plane.glsl"
+#include "facing.glsl"
 
-layout(std430, binding = 3) readonly buffer Facing { uint facing[]; };  // int8, four a word
 layout(std430, binding = 5) readonly buffer Entries { uvec2 entries[]; };
 layout(std430, binding = 7) readonly buffer Neighbours { uint neighbours[]; };  // 3 a face
 
@@ -22,11 +22,6 @@ uniform bool has_all_caps;  // z-pass needs no light cap, and none at infinity
 const uint NO_INDEX = 0xffffffffu;
 
 invariant gl_Position;
-
-int facing_of(uint face) {
-    if (face == NO_INDEX) return 0;
-    return int(facing[face >> 2u] << (24u - 8u * (face & 3u))) >> 24;
-}
 
 void triangle(vec4 a, vec4 b, vec4 c) {
     vec4 p[3] = vec4[3](a, b, c);
@@ -47,7 +42,7 @@ void main() {
     bool is_to_point = !has_end && light.w == 0.0;
     vec4 near_end[3], far_end[3];
     for (uint k = 0u; k < 3u; k++) {
-        vec3 p = position_of(corners[3u * face + k]);
+        vec3 p = corner_of(face, k);
         near_end[k] = end_of_segment(p, entry.y, false);
         far_end[k] = end_of_segment(p, entry.y, true);
     }
@@ -55,7 +50,8 @@ void main() {
     if (has_end || (has_all_caps && !is_to_point)) triangle(far_end[2], far_end[1], far_end[0]);
     for (uint k = 0u; k < 3u; k++) {
 #ifndef EACH_ALONE
-        if (facing_of(neighbours[3u * face + k]) == s) continue;
+        uint beyond = neighbours[3u * face + k];
+        if ((beyond == NO_INDEX ? 0 : facing_of(beyond)) == s) continue;
 #endif
         uint next = (k + 1u) % 3u;
         triangle(near_end[next], near_end[k], far_end[k]);
