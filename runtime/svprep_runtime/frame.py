@@ -292,6 +292,7 @@ def camera_uniforms(camera: Camera, offset_px: tuple[float, float] = (0.0, 0.0))
         "ray_right": tuple((ray_beside - ray).tolist()),
         "ray_up": tuple((ray_above - ray).tolist()),
         "offset_px": offset_px,
+        "size_px": (float(camera.width_px), float(camera.height_px)),
         "eye": tuple(camera.eye.tolist()),
         "row_right": right,
         "row_up": up,

@@ -3,6 +3,7 @@
 #include "position.glsl"
 #include "extrude.glsl"
 #include "depth_plane.glsl"
+#include "coverage.glsl"
 
 layout(std430, binding = 5) readonly buffer Entries { uvec2 entries[]; };
 
@@ -18,5 +19,5 @@ void main() {
         p[k] = end_of_segment(position_of(corners[3u * entry.x + k]), entry.y, is_far);
     }
     set_depth_plane(p[0], p[1], p[2]);
-    gl_Position = clip_from_world(p[gl_VertexID % 3]);
+    gl_Position = set_coverage(p[0], p[1], p[2], gl_VertexID % 3);
 }

@@ -12,7 +12,7 @@ uniform vec3 ray_up;
 uniform vec2 offset_px;   // by which the picture is shifted for this sample
 
 #ifdef WRITES_PLANE
-flat out vec3 depth_plane;  // reversed depth = x + y column + z row
+flat out dvec3 depth_plane;  // reversed depth = x + y column + z row
 flat out vec2 depth_range;  // of the triangle: what rounding may not leave
 
 dvec3 from_eye(vec4 p) {
@@ -50,19 +50,19 @@ void set_depth_plane(vec4 a, vec4 b, vec4 c) {
         }
     }
     // The eye lies in the triangle's plane: wherever rounding draws it, it is as near as can be.
-    depth_plane = vec3(depth_range.y, 0.0, 0.0);
+    depth_plane = dvec3(depth_range.y, 0.0, 0.0);
     if (volume == 0.0) return;
     q *= double(near_m) / volume;
-    depth_plane = vec3(float(dot(q, ray_of_sample())), float(dot(q, dvec3(ray_right))),
-                       float(dot(q, dvec3(ray_up))));
+    depth_plane = dvec3(dot(q, ray_of_sample()), dot(q, dvec3(ray_right)),
+                        dot(q, dvec3(ray_up)));
 }
 #else
-flat in vec3 depth_plane;
+flat in dvec3 depth_plane;
 flat in vec2 depth_range;
 
 float plane_depth() {
-    precise float z = depth_plane.x + depth_plane.y * gl_FragCoord.x
-                      + depth_plane.z * gl_FragCoord.y;
+    float z = float(depth_plane.x + depth_plane.y * double(gl_FragCoord.x)
+                    + depth_plane.z * double(gl_FragCoord.y));
     // With a corner behind the eye, rounding may draw the triangle on the eye's other side,
     // where its plane lies behind the eye: just as near as its mirror image before it.
     if (depth_range.y > 1e29) z = abs(z);

@@ -1,9 +1,20 @@
-// Sides and caps of volumes as glass: one tint for each side that is seen.
+// Lines; sides and caps of volumes as glass: one tint for each side that is seen.
+#ifdef OF_VOLUME
+#include "depth_plane.glsl"
+#include "coverage.glsl"
+#endif
+
 uniform vec4 front;
 uniform vec4 back;
 
 layout(location = 0) out vec4 shown;
 
 void main() {
-    shown = gl_FrontFacing ? front : back;
+#ifdef OF_VOLUME
+    if (!is_covered()) discard;
+    gl_FragDepth = plane_depth();
+    shown = is_front != 0 ? front : back;
+#else
+    shown = front;
+#endif
 }

@@ -7,6 +7,7 @@
 #include "position.glsl"
 #include "extrude.glsl"
 #include "depth_plane.glsl"
+#include "coverage.glsl"
 
 layout(std430, binding = 2) readonly buffer EdgeVertices { uvec2 edge_vertices[]; };
 layout(std430, binding = 5) readonly buffer Entries { uvec2 entries[]; };
@@ -32,5 +33,5 @@ void main() {
     p[1] = is_second ? end_of_segment(b, entry.y, true) : end_of_segment(b, entry.y, false);
     p[2] = end_of_segment(is_second ? a : b, entry.y, true);
     set_depth_plane(p[0], p[1], p[2]);
-    gl_Position = clip_from_world(p[gl_VertexID % 3]);
+    gl_Position = set_coverage(p[0], p[1], p[2], gl_VertexID % 3);
 }

@@ -5,7 +5,7 @@ layout(triangle_strip, max_vertices = 3) out;
 #define WRITES_PLANE
 #include "position.glsl"
 #include "depth_plane.glsl"
-#include "inner_depth.glsl"
+#include "coverage.glsl"
 
 invariant gl_Position;
 
@@ -15,11 +15,10 @@ void main() {
         p[k] = vec4(position_of(corners[3u * uint(gl_PrimitiveIDIn) + k]), 1.0);
     }
     if (is_edge_on(p[0], p[1], p[2])) return;
-    for (uint k = 0u; k < 3u; k++) {
+    for (int k = 0; k < 3; k++) {
         set_depth_plane(p[0], p[1], p[2]);
-        set_edges(p[0], p[1], p[2]);
         gl_PrimitiveID = gl_PrimitiveIDIn;
-        gl_Position = clip_from_world(p[k]);
+        gl_Position = set_coverage(p[0], p[1], p[2], k);
         EmitVertex();
     }
     EndPrimitive();

@@ -2,7 +2,7 @@
 #define WRITES_PLANE
 #include "position.glsl"
 #include "depth_plane.glsl"
-#include "inner_depth.glsl"
+#include "coverage.glsl"
 
 invariant gl_Position;
 
@@ -11,7 +11,6 @@ void main() {
     vec4 p[3];
     for (uint k = 0u; k < 3u; k++) p[k] = vec4(position_of(corners[first + k]), 1.0);
     set_depth_plane(p[0], p[1], p[2]);
-    set_edges(p[0], p[1], p[2]);
     gl_Position = is_edge_on(p[0], p[1], p[2]) ? vec4(2.0, 2.0, 0.0, 1.0)
-                                               : clip_from_world(p[gl_VertexID % 3]);
+                                               : set_coverage(p[0], p[1], p[2], gl_VertexID % 3);
 }

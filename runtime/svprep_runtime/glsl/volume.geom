@@ -10,6 +10,7 @@ layout(triangle_strip, max_vertices = 24) out;
 #include "position.glsl"
 #include "extrude.glsl"
 #include "depth_plane.glsl"
+#include "coverage.glsl"
 #include "facing.glsl"
 
 layout(std430, binding = 5) readonly buffer Entries { uvec2 entries[]; };
@@ -27,7 +28,7 @@ void triangle(vec4 a, vec4 b, vec4 c) {
     vec4 p[3] = vec4[3](a, b, c);
     for (int k = 0; k < 3; k++) {
         set_depth_plane(a, b, c);
-        gl_Position = clip_from_world(p[k]);
+        gl_Position = set_coverage(a, b, c, k);
         EmitVertex();
     }
     EndPrimitive();

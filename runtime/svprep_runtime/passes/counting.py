@@ -53,15 +53,12 @@ def counting_state(counter: Counter, when: When, orientation: int) -> PassState:
 
     Front faces of a volume add 1 before X and take 1 behind it, back faces the reverse.
     """
-    depth_clamp = when != "before, cut at near"
     if counter == "float":
-        return PassState(depth_test=_DEPTH[when], blend="add", depth_clamp=depth_clamp)
+        return PassState(depth_test=_DEPTH[when], blend="add")
     is_plus = (orientation > 0) == (when != "behind")
     plus, minus = two_sided("incr_wrap", "decr_wrap"), two_sided("decr_wrap", "incr_wrap")
     stencil = plus if is_plus else minus
-    return PassState(
-        depth_test=_DEPTH[when], color_write=False, stencil=stencil, depth_clamp=depth_clamp
-    )
+    return PassState(depth_test=_DEPTH[when], color_write=False, stencil=stencil)
 
 
 def count(
@@ -78,7 +75,7 @@ def count(
         if draw.n_entries == 0 or (draw.is_own_cap and not with_own_caps):
             continue
         apply(programs.context.gl, counting_state(counter, when, draw.orientation))
-        program, mode, n_vertices = _program(programs, draw)
+        program, mode, n_vertices = _program(programs, draw, when)
         program.set(uniforms)
         program.set(
             {
@@ -107,12 +104,15 @@ def count_near_plane(
         program.draw(g.GL_TRIANGLES, 3 * draw.n_entries)
 
 
-def _program(programs: Programs, draw: Draw) -> tuple[Program, int, int]:
+def _program(programs: Programs, draw: Draw, when: When) -> tuple[Program, int, int]:
+    options: tuple[str, ...] = ("CUT_AT_NEAR",) if when == "before, cut at near" else ()
     if draw.kind == "faces":
-        options = ("EACH_ALONE",) if draw.each_alone else ()
+        if draw.each_alone:
+            options += ("EACH_ALONE",)
         return programs.get("volume.vert", "count.frag", "volume.geom", options), g.GL_POINTS, 1
     if draw.kind == "caps":
-        return programs.get("caps.vert", "count.frag"), g.GL_TRIANGLES, 3
+        return programs.get("caps.vert", "count.frag", options=options), g.GL_TRIANGLES, 3
     if draw.kind == "sides":
-        return programs.get("sides.vert", "count.frag"), g.GL_TRIANGLES, 6
-    return programs.get("sides.vert", "count.frag", options=("TO_A_POINT",)), g.GL_TRIANGLES, 3
+        return programs.get("sides.vert", "count.frag", options=options), g.GL_TRIANGLES, 6
+    options += ("TO_A_POINT",)
+    return programs.get("sides.vert", "count.frag", options=options), g.GL_TRIANGLES, 3

@@ -26,6 +26,7 @@ BEFORE: Final = PassState(depth_test="greater", blend="alpha")
 """What is nearer than what the frame shows there."""
 BEHIND: Final = PassState(depth_test="lequal", blend="alpha")
 
+_GLASS: Final = "OF_VOLUME"
 _SIDES: Final = ("sides", "sides_to_point")
 End = Literal["near", "far"]
 
@@ -75,7 +76,7 @@ def draw_volumes(
     for draw in draws:
         if draw.kind in _SIDES and draw.n_entries:
             to_point = draw.kind == "sides_to_point"
-            options = ("TO_A_POINT",) if to_point else ()
+            options = ("TO_A_POINT", _GLASS) if to_point else (_GLASS,)
             program = programs.get("sides.vert", "overlay_tint.frag", options=options)
             program.set(uniforms)
             program.set({"front": front, "back": back, "first_entry": draw.first_entry})
@@ -92,7 +93,7 @@ def draw_ends(
             if draw.kind == "caps" and draw.n_entries and not draw.is_own_cap:
                 r, green, b, alpha = far if draw.is_far else near
                 tint = (r, green, b, share * alpha)
-                program = programs.get("caps.vert", "overlay_tint.frag")
+                program = programs.get("caps.vert", "overlay_tint.frag", options=(_GLASS,))
                 program.set(uniforms)
                 program.set({"front": tint, "back": tint, "first_entry": draw.first_entry})
                 program.set({"is_far": draw.is_far})
@@ -122,7 +123,7 @@ def draw_lines(
             continue
         apply(programs.context.gl, state)
         tint = (*colour[:3], share * colour[3])
-        program.set({"which": which, "half_line": half_line, "front": tint, "back": tint})
+        program.set({"which": which, "half_line": half_line, "front": tint})
         for draw in draws:
             if draw.kind in _SIDES:
                 program.set({"first_entry": draw.first_entry})
