@@ -19,6 +19,7 @@ sys.path.insert(0, str(ROOT))
 
 from svprep.cache.checks import CHECKS  # noqa: E402
 from svprep.cache.schema import ATTRIBUTES, DATASETS  # noqa: E402
+from svprep.cache.vtkhdf import VTK_ITEMS  # noqa: E402
 from svprep.defects import DEFECTS  # noqa: E402
 
 
@@ -47,6 +48,20 @@ def _datasets() -> str:
     return _table(("path", "type", "shape", "unit", "meaning"), *rows)
 
 
+def _vtkhdf() -> str:
+    rows = [
+        (
+            f"`VTKHDF/{item.path}`",
+            f"`{item.link}`" if item.link else "",
+            f"`{item.dtype}`" if item.dtype else "group",
+            item.shape,
+            item.meaning,
+        )
+        for item in VTK_ITEMS
+    ]
+    return _table(("path", "hard link to", "type", "shape", "meaning"), *rows)
+
+
 def _checks() -> str:
     rows = [(c.label, c.summary) for c in CHECKS.values()]
     return _table(("code", "what is wrong"), *rows)
@@ -60,6 +75,7 @@ def _defects() -> str:
 PARTS = {
     "attributes": _attributes,
     "datasets": _datasets,
+    "vtkhdf": _vtkhdf,
     "checks": _checks,
     "defects": _defects,
 }

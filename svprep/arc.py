@@ -113,6 +113,26 @@ def sun_moment(spec: str, site: Site | None = None) -> SunMoment:
     return sun
 
 
+def leaves_out_place(spec: str) -> bool:
+    """Whether `spec` is of the sun and leaves its place to the model, its times well written.
+
+    Raises
+    ------
+    InputError
+        It is of the sun, and its place, its times or its zone cannot be understood.
+    """
+    if not is_sun(spec):
+        return False
+    text = split_sun(spec)
+    if text.place is not None:
+        return False
+    if text.is_arc:
+        _ends_and_step(text)
+    else:
+        moment_of(text)
+    return True
+
+
 def parse_arc(spec: str, site: Site | None = None) -> Arc:
     """Return the arc that `spec` names.
 
@@ -148,12 +168,8 @@ def parse_arc(spec: str, site: Site | None = None) -> Arc:
     if not is_sun(spec):
         refuse(spec, "it is not an arc of the sun", SUN_FORMS)
     text = split_sun(spec)
-    begin, end, step = _ends_and_step(text)
+    begin, end, step, n_steps = _ends_and_step(text)
     zone = begin.tzinfo
-    # Between times of one zone Python subtracts what clocks show.
-    n_steps = -((begin.astimezone(UTC) - end.astimezone(UTC)) // step)
-    if n_steps > MOST_STEPS:
-        refuse(spec, f"it has {n_steps:,} steps; at most {MOST_STEPS:,} can be computed with")
     first = begin.astimezone(UTC)
     times = [(first + k * step).astimezone(zone) for k in range(n_steps)]
     latitude_deg, longitude_deg, convergence_deg = _place(text, site)
@@ -179,8 +195,8 @@ def parse_arc(spec: str, site: Site | None = None) -> Arc:
     )
 
 
-def _ends_and_step(text: SunSpec) -> tuple[datetime, datetime, timedelta]:
-    """Return begin, end and step of an arc, the times in its zone."""
+def _ends_and_step(text: SunSpec) -> tuple[datetime, datetime, timedelta, int]:
+    """Return begin, end, step and number of steps of an arc, the times in its zone."""
     spec = text.spec
     if not text.is_arc:
         refuse(spec, "it is one moment, not an arc", SUN_FORMS)
@@ -194,13 +210,17 @@ def _ends_and_step(text: SunSpec) -> tuple[datetime, datetime, timedelta]:
     begin = time_of(spec, on, parts[1], text.zone)
     end = time_of(spec, on, parts[2], text.zone, is_end=True)
     step = step_of(spec, parts[3])
+    # Between times of one zone Python would subtract what clocks show.
     span = end.astimezone(UTC) - begin.astimezone(UTC)
     if span <= timedelta(0):
         hint = " (midnight at the end of a day is 24:00)" if parts[2].startswith("00:00") else ""
         refuse(spec, f"the end, {parts[2]}, is not after the begin, {parts[1]}{hint}", SUN_FORMS)
     if step > span:
         refuse(spec, f"the step {parts[3]} is longer than the arc", SUN_FORMS)
-    return begin, end, step
+    n_steps = -(-span // step)
+    if n_steps > MOST_STEPS:
+        refuse(spec, f"it has {n_steps:,} steps; at most {MOST_STEPS:,} can be computed with")
+    return begin, end, step, n_steps
 
 
 def _place(text: SunSpec, site: Site | None) -> tuple[float, float, float | None]:

@@ -7,28 +7,35 @@ messages and progress to standard error; ``--json`` prints one object.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import io
 import json
-import os
 import sys
-import tempfile
-import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from svprep import __version__
+from svprep.cli_messages import complain, progress, report_bug, show, silence_output
+from svprep.cli_options import (
+    LIGHT_HELP,
+    PICTURE_SIZE,
+    CameraOption,
+    ClampOption,
+    ConstructionOption,
+    CostAreaOption,
+    CostVertexOption,
+    CounterOption,
+    JsonOption,
+    LightsOption,
+    MemoryOption,
+    MethodOption,
+    SamplesOption,
+    SizeOption,
+    ViewLightsOption,
+)
 from svprep.errors import SvprepError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from svprep.cache.reader import Cache
-    from svprep.model import Prepared
-    from svprep.pipeline import BuildResult
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 """Click's base exception, whether Typer brings Click along or depends on it."""
@@ -40,88 +47,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Prepare city meshes for exact shadow volumes, and check what was prepared.",
 )
-
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on standard output.")
-]
-
-
-LIGHT_HELP = (
-    "dir:AZIMUTH,ALTITUDE in degrees, clockwise from north and above the horizon; point:X,Y,Z in "
-    "input coordinates; sun:LAT,LON,2026-06-21T12:00+02:00"
-)
-LightsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="SPEC",
-        help=f"Clamp the shadows of a light: {LIGHT_HELP}; or an arc, a light per step by day: "
-        "sun:LAT,LON,2026-03-20/06:00/18:00/15m[Europe/Vienna]. May be repeated.",
-    ),
-]
-CostVertexOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="X",
-        help="What drawing a vertex costs, for clamping: a gap is left where that of two more "
-        "caps is less than that of the sides across it (V < R). Default 4.",
-    ),
-]
-CostAreaOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="X", help="What drawing a square metre of side or cap costs. Default 1; 0: no gaps."
-    ),
-]
-
-
-CameraOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="C",
-        help="EX,EY,EZ,TX,TY,TZ[,FOV]: eye and target in input coordinates, vertical degrees. "
-        "Default: all of the model, from the south-west.",
-    ),
-]
-ViewLightsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="SPEC", help=f"{LIGHT_HELP}. May be repeated. Default: azimuth 135, altitude 40."
-    ),
-]
-_PICTURE_SIZE = "1280x1024"
-SizeOption = Annotated[str, typer.Option(metavar="WxH", help="Pixels.")]
-MethodOption = Annotated[
-    str,
-    typer.Option(
-        metavar="M", help="How to count: auto, zpass, zfail or zp+. Shadows are the same."
-    ),
-]
-ClampOption = Annotated[
-    str,
-    typer.Option(
-        metavar="K", help="auto: clamped volumes for lights that the cache holds; none: whole ones."
-    ),
-]
-CounterOption = Annotated[
-    str,
-    typer.Option(
-        metavar="T", help="float: exact to millions of layers; stencil: 8 bits, modulo 256."
-    ),
-]
-ConstructionOption = Annotated[
-    str,
-    typer.Option(
-        metavar="S", help="vertex: sides from silhouette edges; geometry: by a geometry shader."
-    ),
-]
-SamplesOption = Annotated[
-    int,
-    typer.Option(metavar="N", help="Samples of a pixel, odd; the shadow is what most say."),
-]
-MemoryOption = Annotated[
-    str | None,
-    typer.Option(metavar="SIZE", help="Graphics memory for buffers, such as 512M. Default 4G."),
-]
 
 
 @app.callback(invoke_without_command=True)
@@ -140,9 +65,11 @@ def root(
 @app.command()
 def build(
     inputs: Annotated[
-        list[Path],
+        list[str],
         typer.Argument(
-            metavar="INPUT...", help="Model files: .obj .ply .stl .off .glb .gltf, or .gz of one."
+            metavar="INPUT...",
+            help="Models: .obj .ply .stl .off .glb .gltf .b3dm, CityJSON (.json .jsonl), CityGML "
+            "(.gml .xml), or .gz of one; folders of them, or of 3D Tiles; quoted patterns.",
         ),
     ],
     output: Annotated[
@@ -155,6 +82,25 @@ def build(
         float,
         typer.Option(metavar="M", help="Pull vertices of an object within M metres together."),
     ] = 0.0,
+    lod: Annotated[
+        str,
+        typer.Option(
+            metavar="L",
+            help="Level of detail: highest, of each building with its parts; or a number.",
+        ),
+    ] = "highest",
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TYPE",
+            help="Only objects of this type, such as Building (which takes its parts along). May "
+            "be repeated.",
+        ),
+    ] = None,
+    no_terrain: Annotated[bool, typer.Option("--no-terrain", help="Leave terrain out.")] = False,
+    no_openings: Annotated[
+        bool, typer.Option("--no-openings", help="Leave windows and doors out.")
+    ] = False,
     light: LightsOption = None,
     cost_vertex: CostVertexOption = None,
     cost_area: CostAreaOption = None,
@@ -167,35 +113,21 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Read model files, repair them and write the cache."""
-    from svprep import cli_clamp, pipeline
-    from svprep.report import REPORT, write_report
-    from svprep.warm import second_compiler
+    from svprep import cli_build, cli_clamp
 
-    if not 0.0 <= weld_tolerance < float("inf"):
-        raise typer.BadParameter("--weld-tolerance is a distance in metres, 0 or more")
-    if report is not None:
-        if not REPORT.has_suffix(report):
-            raise typer.BadParameter(f"{report}: a report is .json or .csv; name it so")
-        REPORT.checked_path(report, [*inputs, output or pipeline.default_cache_path(inputs)])
-    config = pipeline.BuildConfig(weld_tolerance_m=weld_tolerance)
+    config = cli_build.config_of(
+        weld_tolerance,
+        lod,
+        objects or [],
+        has_terrain=not no_terrain,
+        has_openings=not no_openings,
+    )
     costs = cli_clamp.costs_of(cost_vertex, cost_area)
-    with _progress() as tell, second_compiler():
-        result = pipeline.build(
-            inputs,
-            output,
-            config,
-            lambda stage: tell(stage, pipeline.STAGES.index(stage), len(pipeline.STAGES)),
-            lights=light or [],
-            costs=costs,
-        )
-    if report is not None:
-        write_report(result.prepared, report)
-    summary = _build_summary(result)
-    if as_json:
-        print(json.dumps(summary))
-        return
-    _print_build(summary)
-    if report is not None:
+    order = cli_build.Order(inputs, output, config, light or [], costs, report)
+    with progress() as tell:
+        summary = cli_build.build(order, tell)
+    show(summary, cli_build.build_lines(summary), as_json=as_json)
+    if report is not None and not as_json:
         print(f"report   {report}")
 
 
@@ -204,14 +136,26 @@ def info(
     cache: Annotated[Path, typer.Argument(metavar="CACHE")], as_json: JsonOption = False
 ) -> None:
     """Say what a cache holds: contents, sizes, defects found and repaired."""
-    from svprep.cache.reader import open_cache
+    from svprep import cli_build
 
-    with open_cache(_cache_not_model(cache)) as opened:
-        summary = _cache_summary(opened)
-    if as_json:
-        print(json.dumps(summary))
-    else:
-        _print_info(summary)
+    summary = cli_build.describe(_cache_not_model(cache))
+    show(summary, cli_build.info_lines(summary), as_json=as_json)
+
+
+@app.command()
+def export(
+    cache: Annotated[Path, typer.Argument(metavar="CACHE")],
+    output: Annotated[
+        str,
+        typer.Option("-o", "--output", metavar="FILE", help="A .glb, .obj, .ply or .city.json."),
+    ],
+    as_json: JsonOption = False,
+) -> None:
+    """Write the repaired mesh of a cache for other programs, its ids kept."""
+    from svprep import cli_export
+
+    summary = cli_export.run(_cache_not_model(cache), output)
+    show(summary, cli_export.summary_lines(summary), as_json=as_json)
 
 
 @app.command()
@@ -233,7 +177,7 @@ def validate(
     ] = False,
     light: ViewLightsOption = None,
     camera: CameraOption = None,
-    size: SizeOption = _PICTURE_SIZE,
+    size: SizeOption = PICTURE_SIZE,
     method: MethodOption = "auto",
     clamp: ClampOption = "auto",
     counter: CounterOption = "float",
@@ -251,6 +195,7 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Check that a cache is right; exit status 1 if it is not."""
+    from svprep import cli_validate
     from svprep import validate as checks
 
     if explain is not None:
@@ -275,41 +220,20 @@ def validate(
             samples=samples,
             memory=memory,
         )
-        with _progress() as tell:
+        with progress() as tell:
             judged = cli_shadows.judge(_cache_not_model(cache), view_options, difference, tell)
         _say_default_light(light)
-        _show(judged, cli_shadows.summary_lines(judged), as_json=as_json)
+        show(judged, cli_shadows.summary_lines(judged), as_json=as_json)
         if not cli_shadows.is_clean(judged):
             raise typer.Exit(1)
         return
-    usual = (None, None, _PICTURE_SIZE, "auto", "auto", "float", "vertex", 1, None, None)
+    usual = (None, None, PICTURE_SIZE, "auto", "auto", "float", "vertex", 1, None, None)
     given = (light or None, camera, size, method, clamp, counter, construction, samples, memory)
     if (*given, difference) != usual:
         raise typer.BadParameter("the options of a view (--light, --camera, ...) need --shadows")
-    with _progress() as tell:
+    with progress() as tell:
         outcome = checks.validate(_cache_not_model(cache), deep=deep, on_step=tell)
-    if as_json:
-        print(
-            json.dumps(
-                {
-                    "cache": outcome.path,
-                    "valid": outcome.is_valid,
-                    "deep": outcome.is_deep,
-                    "checks": list(outcome.checks),
-                    "problems": [
-                        {"code": p.code, "where": p.where, "message": p.message}
-                        for p in outcome.problems
-                    ],
-                }
-            )
-        )
-    else:
-        for line in outcome.checks:
-            print(f"checked  {line}")
-        for line in checks.problem_lines(outcome):
-            print(f"failed   {line}")
-        n = len(outcome.problems)
-        print("valid" if n == 0 else f"not valid: {n} problem{'' if n == 1 else 's'}")
+    show(cli_validate.summary(outcome), cli_validate.lines(outcome), as_json=as_json)
     if not outcome.is_valid:
         raise typer.Exit(1)
 
@@ -342,7 +266,9 @@ def silhouette(
     ] = "auto",
     objects: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Only objects of exactly this name; may be repeated."),
+        typer.Option(
+            metavar="NAME", help="Only objects of exactly this name, and their parts; repeatable."
+        ),
     ] = None,
     output: Annotated[
         str | None,
@@ -356,7 +282,7 @@ def silhouette(
     query = cli_silhouette.query_of(cache, light or [], method, volume, objects or [], output)
     _cache_not_model(cache)
     summary = cli_silhouette.answer(query)
-    _show(summary, cli_silhouette.summary_lines(summary), as_json=as_json)
+    show(summary, cli_silhouette.summary_lines(summary), as_json=as_json)
 
 
 @app.command()
@@ -371,9 +297,9 @@ def clamp(
     from svprep import cli_clamp
 
     costs = cli_clamp.costs_of(cost_vertex, cost_area)
-    with _progress() as tell:
+    with progress() as tell:
         summary = cli_clamp.add(_cache_not_model(cache), light or [], costs, tell)
-    _show(summary, cli_clamp.add_lines(summary), as_json=as_json)
+    show(summary, cli_clamp.add_lines(summary), as_json=as_json)
 
 
 @app.command()
@@ -408,9 +334,9 @@ def hours(
 
     query = cli_hours.query_of(cache, light or [], spacing, output or [])
     _cache_not_model(cache)
-    with _progress() as tell:
+    with progress() as tell:
         summary = cli_hours.answer(query, tell)
-    _show(summary, cli_hours.summary_lines(summary), as_json=as_json)
+    show(summary, cli_hours.summary_lines(summary), as_json=as_json)
 
 
 @app.command()
@@ -418,7 +344,7 @@ def render(
     cache: Annotated[Path, typer.Argument(metavar="CACHE")],
     light: ViewLightsOption = None,
     camera: CameraOption = None,
-    size: SizeOption = _PICTURE_SIZE,
+    size: SizeOption = PICTURE_SIZE,
     method: MethodOption = "auto",
     clamp: ClampOption = "auto",
     counter: CounterOption = "float",
@@ -458,7 +384,7 @@ def render(
     query = cli_render.query_of(_cache_not_model(cache), view_options, output, mask)
     summary = cli_render.answer(query, with_figures=stats or as_json)
     _say_default_light(light)
-    _show(summary, cli_render.summary_lines(summary), as_json=as_json)
+    show(summary, cli_render.summary_lines(summary), as_json=as_json)
 
 
 @app.command()
@@ -497,18 +423,9 @@ def doctor(as_json: JsonOption = False) -> None:
 
     found = cli_doctor.look()
     is_well = all(each["status"] != "bad" for each in found)
-    _show({"well": is_well, "findings": found}, cli_doctor.lines(found), as_json=as_json)
+    show({"well": is_well, "findings": found}, cli_doctor.lines(found), as_json=as_json)
     if not is_well:
         raise typer.Exit(1)
-
-
-def _show(summary: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
-    """Print a summary: one JSON object, or lines for people."""
-    if as_json:
-        print(json.dumps(summary))
-        return
-    for line in lines:
-        print(_plain(line))
 
 
 def _say_default_light(lights: list[str] | None) -> None:
@@ -537,7 +454,7 @@ def run(arguments: list[str] | None = None) -> int:
         )
         status = result if isinstance(result, int) else 0
         if status == 130:  # Typer's own answer to Ctrl-C, without a word
-            _complain("interrupted")
+            complain("interrupted")
         if sys.stdout is not None:
             sys.stdout.flush()
         return status
@@ -547,214 +464,41 @@ def run(arguments: list[str] | None = None) -> int:
         # Typer's own answer to a reader that has gone (svprep info | head).
         return 0 if isinstance(stop.__context__, BrokenPipeError) else int(stop.code or 0)
     except (typer.Abort, KeyboardInterrupt):
-        _complain("interrupted")
+        complain("interrupted")
         return 130
     except _UsageError as usage:
         text = usage.format_message()  # type: ignore[attr-defined]
         context = getattr(usage, "ctx", None)
         command = context.command_path if context is not None else "svprep"
-        _complain(f"{text} ({command} --help lists the options)")
+        complain(f"{text} ({command} --help lists the options)")
         return 2
     except SvprepError as error:
-        _complain(str(error))
+        complain(str(error))
         return error.exit_status
     except BrokenPipeError:
         # The same, met by our own flush.
-        _silence_output()
+        silence_output()
         return 0
     except MemoryError:
-        _complain("out of memory; close other programs, or build parts of the model apart")
+        complain("out of memory; close other programs, or build parts of the model apart")
         return 1
     except OSError as error:
         where = f"{error.filename}: " if error.filename else "the output cannot be written: "
-        _complain(f"{where}{error.strerror or error}")
-        _silence_output()
+        complain(f"{where}{error.strerror or error}")
+        silence_output()
         return 1
     except Exception as bug:
-        return _report_bug(bug)
-
-
-def _complain(text: str) -> None:
-    """Write one line to standard error, if there is one; control characters are escaped."""
-    if sys.stderr is not None:
-        with contextlib.suppress(OSError):
-            print(f"svprep: {_plain(text)}", file=sys.stderr)
-
-
-def _plain(text: str) -> str:
-    """Return `text` on one line, without what would steer a terminal."""
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
-    )
-
-
-def _silence_output() -> None:
-    """Drop what standard output still holds, so that leaving does not fail on it again."""
-    with contextlib.suppress(OSError, AttributeError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _report_bug(bug: Exception) -> int:
-    """Write the traceback to a log file and say in one line where it is."""
-    try:
-        handle, name = tempfile.mkstemp(prefix="svprep-", suffix=".log")
-        with os.fdopen(handle, "w") as log:
-            log.write(f"svprep {__version__}, Python {sys.version}\n{sys.argv}\n")
-            traceback.print_exception(bug, file=log)
-    except OSError:
-        name = "not written"
-    _complain(f"this is a bug in svprep ({type(bug).__name__}: {bug}); log: {name}")
-    return 70
+        return report_bug(bug)
 
 
 def _cache_not_model(path: Path) -> Path:
     """Return `path`, or name the build command when it is a model file."""
     from svprep.errors import InputError
+    from svprep.ingest.inputs import MODEL_SUFFIXES, is_tileset_folder, suffix_of_model
 
-    model_suffixes = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-    if path.name.lower().removesuffix(".gz").endswith(model_suffixes):
+    if suffix_of_model(path) in MODEL_SUFFIXES or is_tileset_folder(path):
         raise InputError(f"{path} is a model, not a cache. Run: svprep build {path}")
     return path
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress line on standard error while it is a terminal, else nothing."""
-    if sys.stderr is None or not sys.stderr.isatty():
-        yield lambda what, done, of: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    with Progress(
-        TextColumn("{task.description:24}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    ) as bar:
-        task = bar.add_task("", total=None)
-
-        def tell(what: str, done: int, of: int) -> None:
-            bar.update(task, description=what, completed=done, total=of)
-
-        yield tell
-
-
-def _build_summary(result: BuildResult) -> dict[str, Any]:
-    return {
-        "cache": str(result.cache.path),
-        "n_bytes": result.cache.n_bytes,
-        "content_digest": result.cache.content_digest,
-        **_content_summary(result.prepared),
-        "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
-    }
-
-
-def _cache_summary(cache: Cache) -> dict[str, Any]:
-    prepared = cache.prepared()
-    return {
-        "cache": str(cache.path),
-        "n_bytes": cache.path.stat().st_size,
-        "content_digest": cache.content_digest,
-        "producer_version": cache.producer_version,
-        "sources": [
-            {"path": s.path, "format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256}
-            for s in prepared.sources
-        ],
-        "config": prepared.config,
-        "crs": cache.crs,
-        "grid_origin_m": prepared.mesh.grid.origin_m.tolist(),
-        "planar_tolerance_m": prepared.planes.tolerance_m,
-        **_content_summary(prepared),
-        "datasets": cache.dataset_sizes(),
-    }
-
-
-def _content_summary(prepared: Prepared) -> dict[str, Any]:
-    """Return what `build` and `info` both say of a city."""
-    from svprep import report
-    from svprep.cli_clamp import light_facts
-
-    return {
-        "objects": len(prepared.object_names),
-        "triangles_in": int(prepared.repair.source_triangles.sum()),
-        "faces": len(prepared.mesh.faces),
-        "vertices": len(prepared.mesh.positions),
-        "planes": len(prepared.planes.planes),
-        "edges": report.edge_counts(prepared.edges),
-        **report.component_counts(prepared.components.flags),
-        "index": report.index_counts(prepared.index),
-        "clusters": len(prepared.scene.cluster_start) - 1,
-        "lights": light_facts(prepared.clamp, prepared.mesh.grid),
-        "grid_step_m": prepared.mesh.grid.step_m,
-        "extent_m": report.extent_m(prepared.mesh),
-        "left_out": len(report.left_out_faces(prepared)),
-        "turned": len(prepared.repair.flipped_faces),
-        "defects": report.total_counts(prepared.repair),
-        "notes": list(prepared.notes),
-    }
-
-
-def _print_counts(summary: dict[str, Any]) -> None:
-    from svprep import cli_clamp
-
-    edges = summary["edges"]
-    n_edges = edges["pair"] + edges["border"] + edges["split"]
-    print(
-        f"mesh     {summary['objects']:,} objects, {summary['faces']:,} faces "
-        f"(of {summary['triangles_in']:,} triangles read), {summary['vertices']:,} vertices, "
-        f"{summary['planes']:,} planes"
-    )
-    print(
-        f"edges    {n_edges:,} records: {edges['pair']:,} pairs, {edges['border']:,} border, "
-        f"{edges['split']:,} split; {edges['planar']:,} planar"
-    )
-    print(
-        f"parts    {summary['components']:,} components, {summary['closed']:,} closed, "
-        f"{summary['solid']:,} solid"
-    )
-    index = summary["index"]
-    print(
-        f"index    {index['objects']:,} objects have silhouette trees, over {index['edges']:,} "
-        f"edges ({index['n_bytes'] / 1e6:.1f} MB)"
-    )
-    x, y, z = summary["extent_m"]
-    print(f"extent   {x:,.2f} x {y:,.2f} x {z:,.2f} m (east, north, up)")
-    print(f"grid     {summary['grid_step_m']:g} m; {summary['clusters']:,} clusters of faces")
-    print(
-        f"repair   {summary['left_out']:,} faces left out (no area on the grid, duplicates, "
-        f"no surface), {summary['turned']:,} turned; all listed by --report"
-    )
-    for label, count in summary["defects"].items():
-        print(f"found    {count:>10,}  {label}")
-    for note in summary["notes"]:
-        print(f"note     {_plain(note)}")
-    for line in cli_clamp.light_lines(summary["lights"]):
-        print(_plain(line))
-
-
-def _print_build(summary: dict[str, Any]) -> None:
-    _print_counts(summary)
-    seconds = ", ".join(f"{name} {s:.2f}" for name, s in summary["seconds"].items())
-    print(f"seconds  {sum(summary['seconds'].values()):.2f} ({seconds})")
-    print(f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)")
-
-
-def _print_info(summary: dict[str, Any]) -> None:
-    print(f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)")
-    print(f"digest   {summary['content_digest']}")
-    print(f"made by  svprep {summary['producer_version']}, {json.dumps(summary['config'])}")
-    for source in summary["sources"]:
-        print(
-            f"source   {source['path']} ({source['format']}, {source['n_bytes']:,} bytes, "
-            f"SHA-256 {source['sha256'][:16]}...)"
-        )
-    x, y, z = summary["grid_origin_m"]
-    print(f"origin   ({x:.3f}, {y:.3f}, {z:.3f}) m; CRS {summary['crs'] or 'not stated'}")
-    _print_counts(summary)
-    for name, size in summary["datasets"].items():
-        print(f"bytes    {size:>13,}  {name}")
 
 
 if __name__ == "__main__":

@@ -18,14 +18,14 @@ _PACKAGES: Final = (
     ("", ("numpy", "scipy", "h5py", "numba", "trimesh", "mapbox-earcut", "pvlib")),
     ("view", ("moderngl", "moderngl-window", "Pillow")),
     ("judge", ("embreex", "manifold3d", "pymeshlab")),
-    ("formats", ("pyproj", "DracoPy", "lxml")),
+    ("formats", ("pyproj", "DracoPy")),
 )
 """By the extra that brings them; the first are always needed."""
 _DRAWING: Final = ("moderngl", "glcontext")
 _USES: Final = {
     "view": "svprep render and view",
     "judge": "svprep hours, validate --deep and validate --shadows",
-    "formats": "a CRS, and formats to come",
+    "formats": "city files with a CRS, and Draco-compressed tiles",
 }
 
 

@@ -143,6 +143,7 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
         f"{facts['samples buried in solids']:,} buried in solids and "
         f"{facts['samples buried under the ground']:,} under the ground left out; "
         f"{facts['samples on surfaces that are not solid']:,} on surfaces that are not solid",
+        *_stated(facts),
     ]
     for kind in summary["kinds"]:
         lines.append(f"surface  {kind['kind']:<9} {_kind_text(kind)}")
@@ -163,6 +164,17 @@ def _end_clock(facts: dict[str, Any]) -> str:
     """Return when the arc ends, midnight as 24:00."""
     is_next_day = facts["end"].partition("T")[0] > facts["date"]
     return "24:00" if is_next_day and _clock(facts["end"]) == "00:00" else _clock(facts["end"])
+
+
+def _stated(facts: dict[str, Any]) -> list[str]:
+    """Return a line on where kinds of surface come from, if files state any."""
+    n = facts["samples whose kind the files state"]
+    if not n:
+        return []
+    return [
+        f"kinds    of {n:,} samples as the files name their surfaces, of "
+        f"{facts['samples'] - n:,} by geometry"
+    ]
 
 
 def _cut_day(facts: dict[str, Any]) -> list[str]:

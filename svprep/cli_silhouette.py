@@ -116,14 +116,21 @@ def answer(query: Query) -> dict[str, Any]:
 
 
 def objects_named(cache: Cache, names: tuple[str, ...]) -> I64:
-    """Return the objects, ascending, that bear one of `names`.
+    """Return the objects, ascending, that bear one of `names`, and the parts of such objects.
+
+    An object that has no surface of its own is known by its parts.
 
     Raises
     ------
     InputError
         No object is called so: names what comes close.
     """
-    known = cache.object_names
+    parents = cache.labels.object_parents
+    parts: dict[str, list[int]] = {}
+    for i, parent in enumerate(parents):
+        if parent:
+            parts.setdefault(parent, []).append(i)
+    known = list(dict.fromkeys([*cache.object_names, *parts]))
     for name in names:
         if name in known:
             continue
@@ -132,12 +139,18 @@ def objects_named(cache: Cache, names: tuple[str, ...]) -> I64:
         close = list(dict.fromkeys(folded + get_close_matches(name, known, n=3)))[:3]
         hint = f"close to it: {', '.join(map(repr, close))}" if close else "none comes close"
         raise InputError(
-            f'no object "{name}" among the {len(known):,} of {cache.path}; {hint}. '
+            f'no object "{name}" among the {cache.n_objects:,} of {cache.path}; {hint}. '
             "All names: svprep build SOURCE --report FILE.csv, or "
             "svprep.open_cache(CACHE).object_names in Python"
         )
-    wanted = frozenset(names)
-    return np.flatnonzero([name in wanted for name in known])
+    wanted, waiting = set(names), list(dict.fromkeys(names))
+    while waiting:
+        found = [cache.object_names[i] for i in parts.get(waiting.pop(), ())]
+        waiting += [name for name in dict.fromkeys(found) if name and name not in wanted]
+        wanted.update(found)
+    is_part = [parent != "" and parent in wanted for parent in parents]
+    is_named = [name in wanted for name in cache.object_names]
+    return np.flatnonzero(np.array(is_part, bool) | np.array(is_named, bool))
 
 
 def _summary(query: Query, light: Light, cache: Cache, found: Silhouette) -> dict[str, Any]:

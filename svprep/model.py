@@ -15,7 +15,7 @@ Frames: a *source* position is in the file's own coordinates (float64, metres,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 from typing import Final
 
@@ -80,13 +80,31 @@ class SourceFile:
     path: str
     """As the user named it."""
     format: str
-    """``"obj"``, ``"ply"``, ``"stl"``, ``"off"``, ``"glb"`` or ``"gltf"``."""
+    """``"obj"``, ``"ply"``, ``"stl"``, ``"off"``, ``"glb"``, ``"gltf"``, ``"cityjson"``,
+    ``"cityjsonseq"``, ``"citygml"``, ``"b3dm"`` or ``"3dtiles"``."""
     n_bytes: int
     """Of the file itself, on disk."""
     sha256: str
     """Of the file's bytes on disk (of the compressed bytes for ``.gz``); for glTF
     followed by the bytes of each buffer file beside it that was read, in the
-    order of its ``buffers``."""
+    order of its ``buffers``; for 3D Tiles of the tileset followed by the SHA-256
+    (32 bytes) of each file that was read, in the order of reading."""
+    crs: str = ""
+    """Coordinate reference system as the file states it, ``""`` where it states none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where on Earth a model stands."""
+
+    crs: str = ""
+    """Of the source positions: projected, in metres, what pyproj understands
+    (``"EPSG:28992"``, WKT); ``""`` when unknown."""
+    latitude_deg: float | None = None
+    """In WGS 84, of the middle of the model; None where it was not computed."""
+    longitude_deg: float | None = None
+    convergence_deg: float | None = None
+    """There, from true north to grid north (+y), clockwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +146,22 @@ class SourceMesh:
     notes: tuple[str, ...]
     """One line each on what the file holds that is not a surface (lines,
     points, empty groups) and on conversions made (y up to z up)."""
+    object_types: tuple[str, ...] = ()
+    """``(n_objects,)``: ``"Building"``, ``"TINRelief"``; ``""`` where none is
+    stated. Empty: none is stated of any."""
+    object_parents: tuple[str, ...] = ()
+    """``(n_objects,)``: id of the object that each is a part of, ``""`` if of none.
+    A parent without a surface of its own is no object here. Empty: none of any."""
+    surface_names: tuple[str, ...] = ("",)
+    """What polygons are, as their file names it: ``"RoofSurface"``, ``"Window"``.
+    The first is ``""``: not stated. At most 256."""
+    surface_of_polygon: U8 = field(default_factory=lambda: np.zeros(0, np.uint8))
+    """``(polygon_start[-1],)``: index into `surface_names`, by source polygon."""
+    polygon_start: I64 = field(default_factory=lambda: np.zeros(1, np.int64))
+    """``(n_sources + 1,)``: source i has the entries ``[start[i], start[i + 1])`` of
+    `surface_of_polygon`, numbered as `source_face` does; none where it states none.
+    One zero: no source states any."""
+    place: Place = Place()
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +236,26 @@ class EdgeTable:
     (object, component, v0, v1, f_left)."""
     flags: U8
     """``(n_edges,)``: `EdgeKind` in bits 0-1, `EdgeFlag.PLANAR` in bit 2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """What the source files say of objects and faces beyond their geometry."""
+
+    object_types: tuple[str, ...]
+    """``(n_objects,)``: ``""`` where none is stated."""
+    object_parents: tuple[str, ...]
+    """``(n_objects,)``: id of the object that each is a part of, or ``""``."""
+    surface_names: tuple[str, ...]
+    """At most 256, the first ``""``."""
+    surface_of_face: U8
+    """``(n_faces,)``: index into `surface_names`."""
+
+    @classmethod
+    def none(cls, n_objects: int, n_faces: int) -> Labels:
+        """Return those of files that state nothing."""
+        nothing = ("",) * n_objects
+        return cls(nothing, nothing, ("",), np.zeros(n_faces, np.uint8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,6 +397,8 @@ class Prepared:
     object_names: tuple[str, ...]
     object_source: U32
     """``(n_objects,)``: index into `sources`."""
+    labels: Labels
+    place: Place
     mesh: Mesh
     components: Components
     planes: PlaneTable

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path
 
+import numpy as np
+
+from svprep.arc import leaves_out_place
 from svprep.cache.codec import Raw, clamp_datasets
 from svprep.cache.files import resolve_target
 from svprep.cache.reader import Cache, open_cache
@@ -16,9 +20,12 @@ from svprep.clamp import ClampCosts, LightHook, clamp_lights, distinct, joined, 
 from svprep.edges import build_edges
 from svprep.errors import InputError
 from svprep.ingest import read
-from svprep.light import Light, parse_lights
-from svprep.model import ClampTable, Prepared, SourceMesh
+from svprep.ingest.inputs import expanded, stem_of
+from svprep.ingest.options import ReadOptions
+from svprep.light import Light, Site, parse_lights
+from svprep.model import ClampTable, Labels, Mesh, Prepared, SourceMesh
 from svprep.planes import build_planes
+from svprep.repair.grid import choose_grid, notes_on_step
 from svprep.repair.stage import record, repair
 from svprep.repair.weld import weld
 from svprep.scene_tree import build_scene_tree
@@ -47,6 +54,12 @@ class BuildConfig:
 
     weld_tolerance_m: float = 0.0
     """[m]: pull vertices of one object within this distance together; 0 is exact."""
+    reading: ReadOptions = field(default_factory=ReadOptions)
+    """What of the inputs is wanted."""
+
+    def as_json(self) -> dict[str, object]:
+        """Return the tolerance, and what else differs from the defaults."""
+        return {"weld_tolerance_m": self.weld_tolerance_m, **self.reading.as_config()}
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.weld_tolerance_m < float("inf"):
@@ -80,14 +93,16 @@ def build(
     Parameters
     ----------
     inputs : sequence of path
-        OBJ, PLY, STL, OFF, GLB or glTF files, gzipped or not.
+        Files of the formats that `svprep.ingest` reads, gzipped or not, folders of them,
+        3D Tiles folders, patterns.
     output : path, optional
         The cache to write; by default `default_cache_path` of the only input.
     config : BuildConfig, optional
     on_stage : callable, optional
         Told the name of each stage as it starts.
     lights : sequence of str
-        Specs of lights to clamp shadows for; an arc is one per step by day.
+        Specs of lights to clamp shadows for; an arc is one per step by day. A sun without
+        LAT,LON stands where the inputs say that the model does.
     costs : ClampCosts, optional
         What clamping weighs.
 
@@ -100,18 +115,26 @@ def build(
     """
     if not inputs:
         raise InputError("nothing to build: name at least one model file")
+    config = config or BuildConfig()
     # Text, because a Path would drop the slash of a folder's name.
     path = fspath(default_cache_path(inputs) if output is None else output)
     resolve_target(path)  # a slip of -o is told before any work, not after
-    # No format tells a CRS yet, so no light depends on what is read.
-    parsed = parse_lights(lights)
+    # So is a slip in a light. Only a sun that leaves its place to the model has to wait.
+    parse_lights([spec for spec in lights if not leaves_out_place(spec)])
     timer = _StageTimer(on_stage)
     timer.start("load")
-    source = read([Path(p) for p in inputs])
-    prepared = prepare(source, config or BuildConfig(), timer.start, parsed, costs)
+    source = read([fspath(p) for p in inputs], options=config.reading)
+    parsed = parse_lights(lights, _site(source)) if lights else []
+    prepared = prepare(source, config, timer.start, parsed, costs)
     timer.start("write")
     summary = write_cache(prepared, path)
     return BuildResult(cache=summary, prepared=prepared, seconds=timer.stop())
+
+
+def _site(source: SourceMesh) -> Site:
+    """Return where the model stands, as its cache will say it."""
+    x_m, y_m, _ = choose_grid(source).origin_m.tolist()
+    return Site.of(source.place, x_m, y_m)
 
 
 def prepare(
@@ -158,6 +181,8 @@ def prepare(
         sources=source.sources,
         object_names=source.object_names,
         object_source=source.object_source,
+        labels=_labels(source, repaired.mesh),
+        place=source.place,
         mesh=repaired.mesh,
         components=components,
         planes=planes,
@@ -166,8 +191,25 @@ def prepare(
         scene=scene,
         clamp=clamp,
         repair=record(source, weld_report, repair_report),
-        config=asdict(config),
-        notes=source.notes,
+        config=config.as_json(),
+        notes=(*source.notes, *notes_on_step(repaired.mesh)),
+    )
+
+
+def _labels(source: SourceMesh, mesh: Mesh) -> Labels:
+    """Return what the sources say of objects, and of the faces that are left."""
+    labels = Labels.none(len(source.object_names), len(mesh.faces))
+    surface = labels.surface_of_face
+    if len(source.surface_of_polygon):
+        source_of_face = np.repeat(source.object_source, np.diff(mesh.object_face_start))
+        is_stated = np.diff(source.polygon_start)[source_of_face] > 0
+        first = source.polygon_start[source_of_face[is_stated]]
+        surface[is_stated] = source.surface_of_polygon[first + mesh.source_face[is_stated]]
+    return Labels(
+        object_types=source.object_types or labels.object_types,
+        object_parents=source.object_parents or labels.object_parents,
+        surface_names=source.surface_names,
+        surface_of_face=surface,
     )
 
 
@@ -265,12 +307,15 @@ def _lights_to_add(
 
 
 def default_cache_path(inputs: Sequence[str | PathLike[str]]) -> Path:
-    """Return ``STEM.svp.h5`` in the current folder: ``city.obj.gz`` -> ``city.svp.h5``."""
+    """Return ``STEM.svp.h5`` in the current folder: ``city.obj.gz`` -> ``city.svp.h5``.
+
+    The stem is of the only file, or of the only folder that was named.
+    """
+    if len(inputs) == 1 and not os.path.isdir(inputs[0]):
+        inputs = expanded(inputs).paths  # a pattern may match one file or several
     if len(inputs) != 1:
         raise InputError(f"{len(inputs)} inputs make one cache: name it with -o CACHE")
-    name = Path(fspath(inputs[0])).name
-    stem = Path(name.removesuffix(".gz")).stem
-    return Path((stem or name) + CACHE_SUFFIX)
+    return Path(stem_of(inputs[0]) + CACHE_SUFFIX)
 
 
 class _StageTimer:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import asdict
 from os import PathLike
 from typing import Any, Final
 
@@ -24,6 +26,7 @@ from svprep.model import (
     EdgeFlag,
     EdgeKind,
     EdgeTable,
+    Labels,
     Mesh,
     Prepared,
     RepairRecord,
@@ -111,14 +114,37 @@ def component_counts(flags: U8) -> dict[str, int]:
     }
 
 
+def type_counts(labels: Labels) -> dict[str, int]:
+    """Return how many objects are of each type, the most frequent first; none if none is stated.
+
+    Those of which no type is stated count as ``""``.
+    """
+    counts = Counter(labels.object_types)
+    return _by_frequency(counts) if any(counts) else {}
+
+
+def surface_counts(surface_of_face: U8, labels: Labels) -> dict[str, int]:
+    """Return how many of these faces have each surface name; none if none of them has one.
+
+    Those of which no surface is stated count as ``""``.
+    """
+    counts = np.bincount(surface_of_face, minlength=len(labels.surface_names)).tolist()
+    named = {name: n for name, n in zip(labels.surface_names, counts, strict=True) if n}
+    return _by_frequency(Counter(named)) if any(named) else {}
+
+
+def _by_frequency(counts: Counter[str]) -> dict[str, int]:
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+
 def to_json(prepared: Prepared) -> str:
     """Return the report as one JSON object: totals, and a line per object."""
     head = {
-        "sources": [
-            {"path": s.path, "format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256}
-            for s in prepared.sources
-        ],
+        "sources": [asdict(source) for source in prepared.sources],
         "config": prepared.config,
+        "place": asdict(prepared.place),
+        "object_types": type_counts(prepared.labels),
+        "faces_by_surface": surface_counts(prepared.labels.surface_of_face, prepared.labels),
         "notes": list(prepared.notes),
         "defects": total_counts(prepared.repair),
     }
@@ -131,7 +157,7 @@ def to_csv(prepared: Prepared) -> str:
     """Return the report as CSV: a row per object and defect, one row per clean object."""
     out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
-    head = ["object_index", "object", "source", "triangles_in", "faces"]
+    head = ["object_index", "object", "source", "type", "parent", "triangles_in", "faces"]
     head += ["components", "closed", "solid"]
     rows.writerow((*head, "code", "defect", "count", "action", "source_faces"))
     for entry in _object_entries(prepared):
@@ -157,12 +183,14 @@ def _not_a_formula(cell: object) -> object:
 def _object_entries(prepared: Prepared) -> Iterator[dict[str, Any]]:
     """Yield the report's entry of each object."""
     mesh, components, repair = prepared.mesh, prepared.components, prepared.repair
+    labels = prepared.labels
     owner, code, face = source_faces_of_defects(prepared)
     begin = np.searchsorted(owner, np.arange(len(prepared.object_names) + 1))
     codes = list(DEFECTS)
     for i, name in enumerate(prepared.object_names):
         flags = components.flags[components.object_start[i] : components.object_start[i + 1]]
         here = slice(begin[i], begin[i + 1])
+        own = slice(mesh.object_face_start[i], mesh.object_face_start[i + 1])
         findings = []
         for j in np.flatnonzero(repair.defect_counts[i]):
             defect = codes[j]
@@ -179,8 +207,11 @@ def _object_entries(prepared: Prepared) -> Iterator[dict[str, Any]]:
             "object_index": i,
             "object": name,
             "source": prepared.sources[int(prepared.object_source[i])].path,
+            "type": labels.object_types[i],
+            "parent": labels.object_parents[i],
             "triangles_in": int(repair.source_triangles[i]),
-            "faces": int(mesh.object_face_start[i + 1] - mesh.object_face_start[i]),
+            "faces": int(own.stop - own.start),
+            "faces_by_surface": surface_counts(labels.surface_of_face[own], labels),
             **component_counts(flags),
             "findings": findings,
         }

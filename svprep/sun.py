@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from svprep.errors import EnvironmentProblem, InputError, require_extra
-from svprep.model import F64
+from svprep.model import F64, Place
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -52,6 +52,18 @@ class Site:
     x_m: float
     y_m: float
     """A point of the model in source coordinates [m] (the origin of the grid)."""
+    latitude_deg: float | None = None
+    """Where that is in WGS 84, as the build found it. None: to be computed from `crs`."""
+    longitude_deg: float | None = None
+    convergence_deg: float | None = None
+    """There, from true north to grid north (+y), clockwise."""
+
+    @classmethod
+    def of(cls, place: Place, x_m: float, y_m: float) -> Site:
+        """Return the site of a model, with all that is stored of its place."""
+        return cls(
+            place.crs, x_m, y_m, place.latitude_deg, place.longitude_deg, place.convergence_deg
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +188,8 @@ def _delta_t_s(year: int, month: int) -> float:
 def place_of(site: Site) -> tuple[float, float]:
     """Return latitude and longitude of `site` in WGS 84, to 6 decimals (0.1 m).
 
+    What a build has stored is taken as it is, and needs no pyproj.
+
     Raises
     ------
     InputError
@@ -183,6 +197,8 @@ def place_of(site: Site) -> tuple[float, float]:
     EnvironmentProblem
         pyproj is missing.
     """
+    if site.latitude_deg is not None and site.longitude_deg is not None:
+        return site.latitude_deg, site.longitude_deg
     crs, x, y = _projected(site)
     from pyproj import Transformer
 
@@ -198,6 +214,8 @@ def place_of(site: Site) -> tuple[float, float]:
 def meridian_convergence_deg(site: Site) -> float:
     """Return the angle from true north to grid north (+y) at `site`, clockwise.
 
+    What a build has stored is taken as it is, and needs no pyproj.
+
     Raises
     ------
     InputError
@@ -212,6 +230,8 @@ def meridian_convergence_deg(site: Site) -> float:
     it, and measured: that holds for any projection, and for axes that run south or west.
     Where the projection is not conformal, only azimuths near the meridian are exact.
     """
+    if site.convergence_deg is not None:
+        return site.convergence_deg
     crs, x, y = _projected(site)
     from pyproj import Transformer
 
@@ -248,8 +268,10 @@ def _projected(site: Site) -> tuple[CRS, float, float]:
     try:
         from pyproj import CRS
         from pyproj.exceptions import CRSError
+        from pyproj.network import set_network_enabled  # type: ignore[attr-defined]
     except ImportError:
         raise require_extra("pyproj", "formats", f'true north in the CRS "{site.crs}"') from None
+    set_network_enabled(False)  # the same numbers with and without a network
     try:
         crs = CRS.from_user_input(site.crs).to_2d()
     except (CRSError, ValueError):

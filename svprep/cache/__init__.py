@@ -5,6 +5,7 @@
     files    lock, temporary sibling, atomic replacement
     writer   `write_cache`
     reader   `open_cache`
+    vtkhdf   the group that shows the mesh to ParaView: `write_vtk`, `check_vtk`
     verify   `verify`: the quick structural check (tables in `invariants`, silhouette
              trees in `tree_invariants` and `tree_bounds`)
 

@@ -92,6 +92,14 @@ CHECKS: dict[str, Check] = {
             _REBUILD,
         ),
         Check(
+            "V106",
+            "BAD_VTKHDF",
+            "The group VTKHDF does not show the mesh of the cache: it links to other arrays, or "
+            "what should follow from the tables does not.",
+            "svprep does not read it. ParaView and PyVista may show another mesh; build the cache "
+            "again.",
+        ),
+        Check(
             "V201",
             "DAMAGED_DATASET",
             "The bytes of a dataset are not those that were written: its SHA-256 differs from the "

@@ -7,7 +7,8 @@ it; what cannot be stored exactly is our own bug, never rounded or dropped.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -29,7 +30,9 @@ from svprep.model import (
     EdgeTable,
     FaceFindings,
     Grid,
+    Labels,
     Mesh,
+    Place,
     PlaneTable,
     Prepared,
     RepairRecord,
@@ -63,19 +66,24 @@ def encode_datasets(prepared: Prepared) -> dict[str, Raw]:
         raise InternalError("mesh.positions are not all finite")
     if len(corners) and int(corners.max()) >= len(positions):
         raise InternalError("mesh.faces refers to vertices that do not exist")
-    names = [_name_bytes(name) for name in prepared.object_names]
-    name_start = np.concatenate(([0], np.cumsum([len(name) for name in names], dtype=np.int64)))
+    labels = prepared.labels
+    name_bytes, name_start = _text_table(prepared.object_names)
+    parent_bytes, parent_start = _text_table(labels.object_parents)
     count_object, count_code, count = _sparse_counts(prepared.repair.defect_counts)
     return {
         "mesh/positions": positions,
         "mesh/face_corners": corners,
         "mesh/source_face": _as("mesh.source_face", mesh.source_face, "<u4", (-1,)),
+        "mesh/surface": _as("surface_of_face", labels.surface_of_face, "|u1", (-1,)),
         "objects/vertex_start": _offsets("object_vertex_start", mesh.object_vertex_start),
         "objects/face_start": _offsets("object_face_start", mesh.object_face_start),
         "objects/component_start": _offsets("components.object_start", parts.object_start),
         "objects/source": _as("object_source", prepared.object_source, "<u4", (-1,)),
         "objects/name_start": _offsets("object name", name_start),
-        "objects/name_bytes": np.frombuffer(b"".join(names), np.uint8),
+        "objects/name_bytes": name_bytes,
+        "objects/type": _types(labels),
+        "objects/parent_start": _offsets("object parent", parent_start),
+        "objects/parent_bytes": parent_bytes,
         "components/face_start": _offsets("components.face_start", parts.face_start),
         "components/edge_start": _offsets("components.edge_start", parts.edge_start),
         "components/flags": _as("components.flags", parts.flags, "|u1", (-1,)),
@@ -126,11 +134,10 @@ def _scene_datasets(scene: SceneTree) -> dict[str, Raw]:
 
 def clamp_datasets(clamp: ClampTable) -> dict[str, Raw]:
     """Return the stored arrays of the lights and their segments alone."""
-    specs = [_name_bytes(spec) for spec in clamp.specs]
-    spec_start = np.concatenate(([0], np.cumsum([len(spec) for spec in specs], dtype=np.int64)))
+    spec_bytes, spec_start = _text_table(clamp.specs)
     return {
         "lights/spec_start": _offsets("light spec", spec_start),
-        "lights/spec_bytes": np.frombuffer(b"".join(specs), np.uint8),
+        "lights/spec_bytes": spec_bytes,
         "lights/light": _as("clamp.lights", clamp.lights, "<f4", (-1, 4)),
         "lights/frame": _as("clamp.frames", clamp.frames, "<f8", (-1, 3, 3)),
         "lights/facts": _as("clamp.facts", clamp.facts, "<f8", (-1, 5)),
@@ -141,24 +148,30 @@ def clamp_datasets(clamp: ClampTable) -> dict[str, Raw]:
     }
 
 
-def encode_attributes(prepared: Prepared, crs: str = "") -> dict[str, bytes | Raw]:
+def encode_attributes(prepared: Prepared) -> dict[str, bytes | Raw]:
     """Return every root attribute but the two digests: texts as UTF-8, numbers as arrays."""
     grid = prepared.mesh.grid
     sources = [
-        {"format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256} for s in prepared.sources
+        {"format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256, "crs": s.crs}
+        for s in prepared.sources
     ]
+    place = asdict(prepared.place)
+    crs = place.pop("crs")
     return {
         "magic": MAGIC.encode(),
         "schema_version": np.asarray(SCHEMA_VERSION, "<u4"),
         "producer_version": __version__.encode(),
         "source_paths": _json("source paths", [s.path for s in prepared.sources]),
         "sources": _json("sources", sources),
+        "object_types": _json("object types", _type_names(prepared.labels)),
+        "surface_names": _json("surface names", list(prepared.labels.surface_names)),
         "config": _json("config", prepared.config),
         "notes": _json("notes", list(prepared.notes)),
         "grid_step_m": np.asarray(grid.step_m, "<f8"),
         "grid_origin_m": np.asarray(grid.origin_m, "<f8"),
         "planar_tolerance_m": np.asarray(prepared.planes.tolerance_m, "<f8"),
         "crs": crs.encode(),
+        "place": _json("place", {k: v for k, v in place.items() if v is not None}),
     }
 
 
@@ -191,6 +204,26 @@ def _offsets(what: str, offsets: I64) -> Raw:
     if array[0] != 0 or array[-1] >= NO_INDEX or np.any(np.diff(array) < 0):
         raise InternalError(f"{what}: offsets must rise from 0 and stay below 2**32 - 1")
     return array.astype("<u4")
+
+
+def _text_table(texts: Sequence[str]) -> tuple[Raw, I64]:
+    """Return texts as bytes end to end, and where each starts."""
+    encoded = [_name_bytes(text) for text in texts]
+    start = np.concatenate(([0], np.cumsum([len(text) for text in encoded], dtype=np.int64)))
+    return np.frombuffer(b"".join(encoded), np.uint8), start
+
+
+def _type_names(labels: Labels) -> list[str]:
+    return ["", *sorted(set(labels.object_types) - {""})]
+
+
+def _types(labels: Labels) -> Raw:
+    """Return the index of each object's type among `_type_names`."""
+    names = _type_names(labels)
+    if len(names) > 1 << 16:
+        raise InternalError(f"{len(names)} types of objects; a cache holds {1 << 16}")
+    number = {name: i for i, name in enumerate(names)}
+    return np.array([number[t] for t in labels.object_types], "<u2")
 
 
 def _name_bytes(name: str) -> bytes:
@@ -449,6 +482,21 @@ def decode_names(fetch: Fetch) -> tuple[str, ...]:
     return _texts(fetch("objects/name_bytes"), fetch("objects/name_start"))
 
 
+def decode_labels(fetch: Fetch, type_names: Any, surface_names: Any) -> Labels:
+    """Return what the sources say of objects and faces."""
+    return Labels(
+        object_types=tuple(map(type_names.__getitem__, fetch("objects/type").tolist())),
+        object_parents=_texts(fetch("objects/parent_bytes"), fetch("objects/parent_start")),
+        surface_names=tuple(surface_names),
+        surface_of_face=_native(fetch("mesh/surface"), np.uint8),
+    )
+
+
+def decode_place(crs: str, place: Any) -> Place:
+    """Return where the model stands, from two attributes."""
+    return Place(crs, **{str(name): float(value) for name, value in place.items()})
+
+
 def _texts(text_bytes: Raw, start: Raw) -> tuple[str, ...]:
     blob = text_bytes.tobytes()
     return tuple(blob[a:b].decode("utf-8", "surrogateescape") for a, b in pairwise(start.tolist()))
@@ -459,7 +507,7 @@ def decode_sources(paths: object, sources: object) -> tuple[SourceFile, ...]:
     if not isinstance(paths, list) or not isinstance(sources, list) or len(paths) != len(sources):
         raise ValueError("sources and source_paths must be lists of one length")
     return tuple(
-        SourceFile(str(path), str(s["format"]), int(s["n_bytes"]), str(s["sha256"]))
+        SourceFile(str(path), str(s["format"]), int(s["n_bytes"]), str(s["sha256"]), str(s["crs"]))
         for path, s in zip(paths, sources, strict=True)
     )
 

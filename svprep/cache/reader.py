@@ -38,6 +38,7 @@ from svprep.cache.storage import (
     attribute_value,
     check_root,
     damage_named,
+    frozen_view,
     open_hdf5,
     read_digest_table,
     read_raw,
@@ -50,7 +51,9 @@ from svprep.model import (
     Components,
     EdgeTable,
     Grid,
+    Labels,
     Mesh,
+    Place,
     PlaneTable,
     Prepared,
     RepairRecord,
@@ -185,7 +188,7 @@ class Cache:
     def site(self) -> Site:
         """Where the model stands, for the sun's azimuth."""
         x_m, y_m, _ = self.grid.origin_m.tolist()
-        return Site(self.crs, x_m, y_m)
+        return Site.of(self.place, x_m, y_m)
 
     @cached_property
     def object_names(self) -> tuple[str, ...]:
@@ -197,6 +200,20 @@ class Cache:
     def object_source(self) -> U32:
         """``(n_objects,)``: index into `sources`."""
         return self.raw("objects/source")
+
+    @cached_property
+    def labels(self) -> Labels:
+        """What the sources say of objects and faces: types, parents, surfaces."""
+        types, surfaces = self._json("object_types", list), self._json("surface_names", list)
+        with self._damage_named("the labels of objects and faces"):
+            return codec.decode_labels(self.raw, types, surfaces)
+
+    @cached_property
+    def place(self) -> Place:
+        """Where on Earth the model stands."""
+        stored = self._json("place", dict)
+        with self._damage_named('the attribute "place"'):
+            return codec.decode_place(self.crs, stored)
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -259,6 +276,8 @@ class Cache:
             sources=self.sources,
             object_names=self.object_names,
             object_source=self.object_source,
+            labels=self.labels,
+            place=self.place,
             mesh=self.mesh,
             components=self.components,
             planes=self.planes,
@@ -272,7 +291,7 @@ class Cache:
         )
 
     def raw(self, path: str) -> NDArray[Any]:
-        """Return a dataset as it is stored, its digest checked, read-only.
+        """Return a dataset, its digest checked, read-only; indices are unsigned.
 
         Raises
         ------
@@ -288,6 +307,7 @@ class Cache:
             expected = self._digest_of.get(path)
             if expected and item_digest(path, SPEC_OF_PATH[path].dtype, array) != expected:
                 raise ValueError("its bytes are not those that were written")
+            array = frozen_view(array, SPEC_OF_PATH[path])
         if path in SHARED:
             self._kept[path] = array
         return array

@@ -4,6 +4,9 @@ Writer, reader, validator and FORMAT.md all derive from `DATASETS` and
 `ATTRIBUTES`. A change of any of them that an older reader would misread needs
 a new `SCHEMA_VERSION`.
 
+The group ``VTKHDF`` is declared by `svprep.cache.vtkhdf`: it shows the same arrays to
+ParaView, and holds nothing that does not follow from them.
+
 Two tables are stored in half the space that they take in memory, without loss:
 an edge record as its two half-edges (its vertices and faces follow from the
 face corners), and a plane record as a face that lies in it (its normal is the
@@ -21,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC: Final = "svprep-cache"
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 
 LIBVER: Final = ("v108", "v108")
 """HDF5 format bounds. Version 1.8 (2008) is the first that checksums its own
@@ -71,6 +74,11 @@ class DatasetSpec:
     refers: Dim | None = None
 
     @property
+    def in_memory(self) -> str:
+        """What the bytes are taken for in memory: every index is unsigned there."""
+        return "<u4" if self.dtype == "<i4" else self.dtype
+
+    @property
     def shape_text(self) -> str:
         """``"(n_edges, 2)"``."""
         inner = ", ".join(str(n) for n in self.shape)
@@ -99,6 +107,7 @@ class AttributeSpec:
 V, F, O = Dim("n_vertices"), Dim("n_faces"), Dim("n_objects")  # noqa: E741
 C, P, E = Dim("n_components"), Dim("n_planes"), Dim("n_edges")
 SOURCES = Dim("n_sources")
+TYPES, SURFACES = Dim("n_types"), Dim("n_surface_names")
 T, I, B = Dim("n_trees"), Dim("n_indexed_edges"), Dim("n_blocks")  # noqa: E741
 L, S = Dim("n_lights"), Dim("n_segments")
 
@@ -113,11 +122,12 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
     ),
     DatasetSpec(
         "mesh/face_corners",
-        "<u4",
+        "<i4",
         (Dim("n_faces", 3),),
         "",
         "Vertex of each face corner, flat: face f has the corners 3 f, 3 f + 1, 3 f + 2. "
-        "Half-edge h runs from corner h to the next corner of its face, h // 3.",
+        "Half-edge h runs from corner h to the next corner of its face, h // 3. Signed, though "
+        "never negative: VTK before 9.6 reads no other corners.",
         "index",
         V,
     ),
@@ -127,6 +137,15 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         (F,),
         "",
         "0-based ordinal, in its source file, of the polygon that each face came from.",
+    ),
+    DatasetSpec(
+        "mesh/surface",
+        "|u1",
+        (F,),
+        "",
+        "What each face is, as its file names it: index into the attribute `surface_names`.",
+        "index",
+        SURFACES,
     ),
     DatasetSpec(
         "objects/vertex_start",
@@ -179,6 +198,32 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         (Dim("n_name_bytes"),),
         "",
         "All object names, UTF-8, end to end (a byte that was not UTF-8 in the source is kept).",
+    ),
+    DatasetSpec(
+        "objects/type",
+        "<u2",
+        (O,),
+        "",
+        "What each object is, as its file names it: index into the attribute `object_types`.",
+        "index",
+        TYPES,
+    ),
+    DatasetSpec(
+        "objects/parent_start",
+        "<u4",
+        (O._replace(plus=1),),
+        "bytes",
+        "Object i is a part of the one named by the bytes start[i] to start[i + 1] - 1 of "
+        "`parent_bytes`, which need not have a surface of its own; of none if there are no bytes.",
+        "offsets",
+        Dim("n_parent_bytes"),
+    ),
+    DatasetSpec(
+        "objects/parent_bytes",
+        "|u1",
+        (Dim("n_parent_bytes"),),
+        "",
+        "All names of parents, UTF-8, end to end.",
     ),
     DatasetSpec(
         "components/face_start",
@@ -526,7 +571,25 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
         in_content=False,
     ),
     AttributeSpec(
-        "sources", "json", (), "", 'A list of {"format", "n_bytes", "sha256"}: the source files.'
+        "sources",
+        "json",
+        (),
+        "",
+        'A list of {"format", "n_bytes", "sha256", "crs"}: the source files.',
+    ),
+    AttributeSpec(
+        "object_types",
+        "json",
+        (),
+        "",
+        'A list: what objects are, such as "Building"; the first is "", not stated.',
+    ),
+    AttributeSpec(
+        "surface_names",
+        "json",
+        (),
+        "",
+        'A list: what faces are, such as "RoofSurface"; the first is "", not stated.',
     ),
     AttributeSpec("config", "json", (), "", "An object: what the build was asked for."),
     AttributeSpec("notes", "json", (), "", "A list of lines on what was left out or converted."),
@@ -535,7 +598,21 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
     AttributeSpec(
         "planar_tolerance_m", "<f8", (), "m", "How far a vertex may lie from its face's record."
     ),
-    AttributeSpec("crs", "utf8", (), "", "Coordinate reference system; empty when unknown."),
+    AttributeSpec(
+        "crs",
+        "utf8",
+        (),
+        "",
+        "Coordinate reference system of source positions, in metres; empty when unknown.",
+    ),
+    AttributeSpec(
+        "place",
+        "json",
+        (),
+        "",
+        "An object: latitude_deg and longitude_deg of the model's middle in WGS 84, and there "
+        "convergence_deg, from true north to +y, clockwise; empty when unknown.",
+    ),
     AttributeSpec(
         "content_digest",
         "utf8",
@@ -582,6 +659,13 @@ def shape_problem(
     given = "".join(f", {symbol} = {sizes[symbol]}" for symbol in symbols)
     return f"expected {spec.dtype} {spec.shape_text}{given}; got {dtype.str} {shape}"
 
+
+LISTS: Final = {
+    SOURCES.symbol: "sources",
+    TYPES.symbol: "object_types",
+    SURFACES.symbol: "surface_names",
+}
+"""Lengths that are those of JSON attributes."""
 
 SPEC_OF_PATH: Final = {spec.path: spec for spec in DATASETS}
 ATTRIBUTE_OF_NAME: Final = {spec.name: spec for spec in ATTRIBUTES}

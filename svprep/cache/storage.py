@@ -9,6 +9,7 @@ import stat
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,6 +24,7 @@ from svprep.cache.schema import (
     MAGIC,
     SCHEMA_VERSION,
     AttributeSpec,
+    DatasetSpec,
     content_digest,
     root_digest,
 )
@@ -50,7 +52,7 @@ MAX_NAMED_SOURCES = 4
 def rebuild_advice(path: Path, file: h5py.File | None = None) -> str:
     """Return the sentence that names the command to build the cache `path` again.
 
-    It names the sources, and a weld tolerance, where `file` still tells them.
+    It names the sources, and the options of that build, where `file` still tells them.
     """
     inputs, options = ["SOURCE"], ""
     with contextlib.suppress(*DAMAGE):
@@ -60,10 +62,23 @@ def rebuild_advice(path: Path, file: h5py.File | None = None) -> str:
             if is_text and 0 < len(found) <= MAX_NAMED_SOURCES:
                 inputs = [shlex.quote(p) for p in found]
             config = json.loads(bytes(attribute_value(file, ATTRIBUTE_OF_NAME["config"])))
-            if tolerance := float(config.get("weld_tolerance_m", 0.0)):
-                options = f" --weld-tolerance {tolerance!r}"
+            options = "".join(f" {word}" for word in _options_of(config))
     command = f"svprep build {' '.join(inputs)} -o {shlex.quote(str(path))}{options}"
     return f"Build it again: {command}"
+
+
+def _options_of(config: Mapping[str, Any]) -> list[str]:
+    """Return the options of `svprep build` that a stored configuration stands for."""
+    words = []
+    if tolerance := float(config.get("weld_tolerance_m", 0.0)):
+        words += ["--weld-tolerance", repr(tolerance)]
+    if "lod" in config:
+        words += ["--lod", shlex.quote(str(config["lod"]))]
+    for name in config.get("objects", []):
+        words += ["--objects", shlex.quote(str(name))]
+    words += [] if config.get("terrain", True) else ["--no-terrain"]
+    words += [] if config.get("openings", True) else ["--no-openings"]
+    return words
 
 
 @contextlib.contextmanager
@@ -224,6 +239,11 @@ def read_raw(dataset: h5py.Dataset) -> NDArray[np.generic]:
     if array.size:
         dataset.read_direct(array)
     return frozen(array)
+
+
+def frozen_view(array: NDArray[np.generic], spec: DatasetSpec) -> NDArray[np.generic]:
+    """Return a stored array as it is used in memory: the same bytes, read-only."""
+    return array if spec.in_memory == spec.dtype else frozen(array.view(spec.in_memory))
 
 
 def read_digest_table(file: h5py.File) -> list[tuple[str, str]]:

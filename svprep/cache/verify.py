@@ -21,13 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.cache.checks import CHECKS, Check, Problem
-from svprep.cache.codec import decode_sources
+from svprep.cache.codec import decode_place, decode_sources
 from svprep.cache.invariants import check_tables
 from svprep.cache.schema import (
     ATTRIBUTE_OF_NAME,
     ATTRIBUTES,
     DATASETS,
     DIGESTS_PATH,
+    LISTS,
     SPEC_OF_PATH,
     item_digest,
     shape_problem,
@@ -36,12 +37,15 @@ from svprep.cache.storage import (
     DAMAGE,
     attribute_value,
     check_root,
+    frozen_view,
     open_hdf5,
     read_digest_table,
     read_raw,
     stored_dataset,
 )
 from svprep.cache.tables import Tables
+from svprep.cache.vtkhdf import GROUP as VTK_GROUP
+from svprep.cache.vtkhdf import check_vtk
 
 __all__ = ["CHECKS", "Check", "Problem", "verify"]
 
@@ -71,9 +75,10 @@ def verify(path: str | os.PathLike[str]) -> list[Problem]:
         problems += found
         damaged, found = _digests(file, arrays, values)
         problems += found
+        whole = {name: array for name, array in arrays.items() if name not in damaged}
+        problems += _vtk(file, whole, values)
     if "grid_step_m" not in values or "planar_tolerance_m" not in values:
         return problems
-    whole = {name: array for name, array in arrays.items() if name not in damaged}
     step, tolerance = float(values["grid_step_m"]), float(values["planar_tolerance_m"])
     if not (math.isfinite(step) and step > 0):
         return problems
@@ -95,7 +100,8 @@ def _unknown_items(file: h5py.File) -> list[Problem]:
         except DAMAGE as error:
             problems.append(Problem("V104", group or "the root group", _reason(error)))
             continue
-        unknown = [n for n in names if n not in declared and not (not group and n in groups)]
+        known_groups = () if group else (*groups, VTK_GROUP)
+        unknown = [n for n in names if n not in declared and n not in known_groups]
         problems += [Problem("V103", name, "it is not part of the schema") for name in unknown]
     try:
         known = {spec.name for spec in ATTRIBUTES}
@@ -126,7 +132,7 @@ def _attribute_values(values: Values) -> list[Problem]:
     """Return what is wrong with the values of the attributes that are there."""
     problems = []
     parsed: dict[str, Any] = {}
-    kinds = {"source_paths": list, "sources": list, "config": dict, "notes": list}
+    objects = ("config", "place")
     for spec in ATTRIBUTES:
         if not spec.is_text or spec.name not in values:
             continue
@@ -134,8 +140,9 @@ def _attribute_values(values: Values) -> list[Problem]:
             text = bytes(values[spec.name]).decode()
             if spec.dtype == "json":
                 parsed[spec.name] = json.loads(text)
-                if not isinstance(parsed[spec.name], kinds[spec.name]):
-                    raise ValueError(f"expected a JSON {kinds[spec.name].__name__}")
+                kind = dict if spec.name in objects else list
+                if not isinstance(parsed[spec.name], kind):
+                    raise ValueError(f"expected a JSON {kind.__name__}")
         except DAMAGE as error:
             problems.append(Problem("V105", f"attribute {spec.name}", _reason(error)))
     try:
@@ -143,6 +150,15 @@ def _attribute_values(values: Values) -> list[Problem]:
             decode_sources(parsed["source_paths"], parsed["sources"])
     except DAMAGE as error:
         problems.append(Problem("V105", "attribute sources", _reason(error)))
+    try:
+        decode_place("", parsed.get("place", {}))
+    except DAMAGE as error:
+        problems.append(Problem("V105", "attribute place", _reason(error)))
+    for name in ("object_types", "surface_names"):
+        texts = parsed.get(name, [""])
+        if not (texts and texts[0] == "" and all(isinstance(text, str) for text in texts)):
+            message = 'expected texts, the first of them ""'
+            problems.append(Problem("V105", f"attribute {name}", message))
     return problems + _number_values(values)
 
 
@@ -176,17 +192,31 @@ def _datasets(
             if wrong := shape_problem(spec, dataset.dtype, dataset.shape, sizes):
                 problems.append(Problem("V102", spec.path, wrong))
                 continue
-            arrays[spec.path] = read_raw(dataset)
+            arrays[spec.path] = frozen_view(read_raw(dataset), spec)
         except KeyError:
             problems.append(Problem("V101", spec.path, "it is missing"))
         except ValueError as error:
             problems.append(Problem("V102", spec.path, _reason(error)))
         except DAMAGE as error:
             problems.append(Problem("V104", spec.path, _reason(error)))
-    with contextlib.suppress(*DAMAGE):  # reported with the attributes
-        text = attribute_value(file, ATTRIBUTE_OF_NAME["sources"])
-        sizes["n_sources"] = len(json.loads(bytes(text)))
+    for symbol, name in LISTS.items():
+        with contextlib.suppress(*DAMAGE):  # reported with the attributes
+            text = attribute_value(file, ATTRIBUTE_OF_NAME[name])
+            sizes[symbol] = len(json.loads(bytes(text)))
     return arrays, sizes, problems
+
+
+def _vtk(
+    file: h5py.File, whole: Mapping[str, NDArray[np.generic]], values: Values
+) -> list[Problem]:
+    """Return what is wrong with what other programs are shown."""
+    origin = values.get("grid_origin_m")
+    found: list[Problem] = []
+    try:
+        found.extend(check_vtk(file, whole, None if isinstance(origin, bytes) else origin))
+    except DAMAGE as error:
+        found.append(Problem("V104", VTK_GROUP, _reason(error)))
+    return found
 
 
 def _digests(

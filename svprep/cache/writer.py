@@ -37,11 +37,13 @@ from svprep.cache.schema import (
     DIGESTS_DTYPE,
     DIGESTS_PATH,
     LIBVER,
+    DatasetSpec,
     content_digest,
     item_digest,
     root_digest,
     shape_problem,
 )
+from svprep.cache.vtkhdf import write_vtk
 from svprep.errors import EnvironmentProblem, InternalError
 from svprep.model import Prepared
 
@@ -50,6 +52,7 @@ WRITE_POINTS: Final[tuple[str, ...]] = (
     "temp_created",
     *(f"dataset:{spec.path}" for spec in DATASETS),
     f"dataset:{DIGESTS_PATH}",
+    "vtkhdf",
     "attributes",
     "flushed",
     "synced",
@@ -80,7 +83,6 @@ def write_cache(
     prepared: Prepared,
     path: str | os.PathLike[str],
     *,
-    crs: str = "",
     lock_wait_s: float = 0.0,
     checkpoint: Checkpoint | None = None,
 ) -> CacheSummary:
@@ -92,8 +94,6 @@ def write_cache(
         Tables that keep the contract of `svprep.model`.
     path : path-like
         A symbolic link is followed: the file that it names is replaced.
-    crs : str
-        Coordinate reference system of the sources, ``""`` when unknown.
     lock_wait_s : float
         How long to wait for another writer [s]; 0: be told at once.
     checkpoint : callable, optional
@@ -112,7 +112,7 @@ def write_cache(
     """
     return _replace(
         path,
-        lambda target: (encode_datasets(prepared), encode_attributes(prepared, crs)),
+        lambda target: (encode_datasets(prepared), encode_attributes(prepared)),
         lock_wait_s,
         checkpoint,
     )
@@ -198,6 +198,7 @@ def _write_hdf5(
     at: Checkpoint,
 ) -> str:
     """Write the file's content through `temporary`; return the content digest."""
+    datasets = {spec.path: _as_stored(spec, datasets[spec.path]) for spec in DATASETS}
     _check_shapes(datasets, attributes)
     with ThreadPoolExecutor(HASH_THREADS) as pool, h5py.File(temporary, "w", libver=LIBVER) as file:
         digest_of: dict[str, Future[str]] = {
@@ -212,6 +213,11 @@ def _write_hdf5(
         rows = [(name.encode(), digest.encode()) for name, digest in table]
         _create(file, DIGESTS_PATH, np.array(rows, DIGESTS_DTYPE))
         at(f"dataset:{DIGESTS_PATH}")
+        origin = attributes["grid_origin_m"]
+        assert not isinstance(origin, bytes)
+        write_vtk(file, datasets, origin)
+        temporary.check()
+        at("vtkhdf")
         content = content_digest(attributes, table)
         root = root_digest(content, attributes)
         digests = {"content_digest": content.encode(), "root_digest": root.encode()}
@@ -220,6 +226,15 @@ def _write_hdf5(
         at("attributes")
     temporary.check()
     return content
+
+
+def _as_stored(spec: DatasetSpec, array: Raw) -> Raw:
+    """Return `array` as it is stored, the same bytes: signed where the schema says so."""
+    if spec.in_memory == spec.dtype or array.dtype != np.dtype(spec.in_memory):
+        return array
+    if array.size and int(array.max()) >= 1 << 31:
+        raise InternalError(f"{spec.path}: an index of 2**31 or more cannot be stored")
+    return array.view(spec.dtype)
 
 
 def _create(file: h5py.File, path: str, array: Raw) -> None:

@@ -2,7 +2,7 @@
 
 from svprep.hours.buried import Burial
 from svprep.hours.compute import sun_hours, trace_points
+from svprep.hours.kinds import Kind
 from svprep.hours.result import PointHours, SunHours
-from svprep.hours.surfaces import Kind
 
 __all__ = ["Burial", "Kind", "PointHours", "SunHours", "sun_hours", "trace_points"]

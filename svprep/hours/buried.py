@@ -32,8 +32,9 @@ from enum import IntEnum
 import numpy as np
 
 from svprep.cache.reader import Cache
+from svprep.hours.kinds import Kind
 from svprep.hours.scene import RayStarts
-from svprep.hours.surfaces import Kind, Surfaces
+from svprep.hours.surfaces import Surfaces
 from svprep.model import BOOL, F32, I32, I64, U8, ComponentFlag, Prepared
 from svprep.rays import RAYS_AT_ONCE, Scene, for_batches
 

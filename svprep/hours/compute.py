@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,6 +80,9 @@ def sun_hours(
         offset_m=receivers.offset_m,
         digest=cache.content_digest if isinstance(cache, Cache) else "",
         object_names=cache.object_names,
+        object_types=cache.labels.object_types,
+        object_parents=cache.labels.object_parents,
+        object_sources=_source_names(cache),
         groups=groups,
         position=position,
         face=face,
@@ -86,8 +90,15 @@ def sun_hours(
         object=np.repeat(groups.object, count),
         kind=np.repeat(groups.kind, count),
         is_on_solid=surfaces.is_solid[face],
+        is_stated=surfaces.is_stated[face],
         points=_points(cache, arc, receivers, position, face, tell),
     )
+
+
+def _source_names(cache: Cache | Prepared) -> tuple[str, ...]:
+    """Return the name of the file of each object."""
+    names = [Path(source.path).name for source in cache.sources]
+    return tuple(names[i] for i in cache.object_source.tolist())
 
 
 def trace_points(

@@ -1,10 +1,10 @@
 r"""Sun hours as a CSV table: a row per object and kind of surface.
 
-    # svprep sun hours 1
+    # svprep sun hours 2
     # header lines: 30
     # key: value                     ... every fact that explains the numbers
-    "object_index","object","kind",...
-    0,"tower_0000","roof",...
+    "object_index","object","type","parent","source","kind",...
+    0,"tower_0000","BuildingPart","tower","delft.city.json","roof",...
 
 Texts are quoted, numbers are not, so a name may hold commas, quotes, line breaks or "#":
 ``pandas.read_csv(FILE, comment="#")`` and ``skiprows=`` the header lines both read it. Its
@@ -23,15 +23,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from svprep.hours.facts import TITLE, fact_lines
+from svprep.hours.facts import TITLE, WHAT, fact_lines
+from svprep.hours.kinds import Kind
 from svprep.hours.result import SunHours
 from svprep.hours.summary import DEFINITION, PERCENTS, rows_of
-from svprep.hours.surfaces import Kind
 
+OURS: Final = f"# {WHAT} ".encode()
+"""What files of any version begin with."""
 HEAD: Final = f"# {TITLE}\n".encode()
 COLUMNS: Final = (
     "object_index",
     "object",
+    "type",
+    "parent",
+    "source",
     "kind",
     "area_m2",
     "samples",
@@ -73,7 +78,8 @@ def _taken(out: io.StringIO) -> bytes:
 def _rows(hours: SunHours) -> Iterator[list[Any]]:
     """Yield the cells of each row, `COLUMNS`."""
     groups, rows = hours.groups, rows_of(hours)
-    names = [_not_a_formula(name) for name in hours.object_names]
+    texts = (hours.object_names, hours.object_types, hours.object_parents, hours.object_sources)
+    labels = [[_not_a_formula(text) for text in row] for row in zip(*texts, strict=True)]
     kinds = {int(kind): kind.name.lower() for kind in Kind}
     minutes = np.column_stack(
         [table[name] for table in (rows.total, rows.longest) for name in (*PERCENTS, "mean")]
@@ -83,7 +89,7 @@ def _rows(hours: SunHours) -> Iterator[list[Any]]:
     ):
         yield [
             owner,
-            names[owner],
+            *labels[owner],
             kinds[kind],
             _number(float(groups.area_m2[i])),
             int(rows.samples[i]),

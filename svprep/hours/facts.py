@@ -9,6 +9,7 @@ import numpy as np
 
 from svprep import __version__
 from svprep.hours.buried import Burial
+from svprep.hours.semantics import STATED_RULES
 from svprep.hours.surfaces import RULES, SIDES
 from svprep.report import extent_m, total_counts
 from svprep.sun import sun_angles
@@ -18,8 +19,11 @@ if TYPE_CHECKING:
     from svprep.hours.result import SunHours
     from svprep.model import BOOL
 
-TITLE: Final = "svprep sun hours 1"
+WHAT: Final = "svprep sun hours"
+"""How every file of ours begins, of this version or of one before."""
+TITLE: Final = f"{WHAT} 2"
 """The layout of a CSV or PLY file, and its version."""
+_MOST_SOURCES: Final = 20
 
 
 def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
@@ -37,7 +41,7 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
         "svprep": __version__,
         "cache": cache.path.name,
         "cache content digest": hours.digest,
-        "sources": [f"{Path(s.path).name} SHA-256 {s.sha256}" for s in cache.sources],
+        "sources": _sources(cache),
         "model extent x y z metres": extent_m(cache.mesh),
         "coordinate reference system": cache.crs or "not stated",
         "light": arc.spec,
@@ -63,13 +67,22 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
         "samples on surfaces that are not solid": _count(~hours.is_on_solid),
         "repair findings": findings,
         "side that counts": SIDES,
-        "kinds": RULES,
+        "kinds as the files name surfaces": STATED_RULES,
+        "kinds by geometry": RULES,
+        "samples whose kind the files state": _count(hours.is_stated),
         "sunlit": (
             "the sun is strictly in front of the face and the segment to its centre meets no face; "
             "each lit step counts step minutes"
         ),
         "atmosphere": "refraction is included; weather and terrain beyond the model are not",
     }
+
+
+def _sources(cache: Cache) -> list[str]:
+    """Return the files by name and digest; of very many the first, and how many there are."""
+    named = [f"{Path(s.path).name} SHA-256 {s.sha256}" for s in cache.sources[:_MOST_SOURCES]]
+    n_more = len(cache.sources) - len(named)
+    return [*named, f"and {n_more} more, which the cache lists"] if n_more else named
 
 
 def _count(chosen: BOOL) -> int:

@@ -19,7 +19,7 @@ HOURS: Final = OutputKind(
     form="sun hours are written as .csv or .ply",
     what="does not hold sun hours of svprep",
     suffixes=(".csv", ".ply"),
-    is_ours=lambda head: head.startswith((csv_table.HEAD, ply_points.HEAD)),
+    is_ours=lambda head: head.startswith((csv_table.OURS, ply_points.OURS)),
 )
 
 

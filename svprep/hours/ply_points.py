@@ -12,11 +12,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from svprep.hours.facts import TITLE, fact_lines
+from svprep.hours.facts import TITLE, WHAT, fact_lines
+from svprep.hours.kinds import Kind
 from svprep.hours.result import SunHours
-from svprep.hours.surfaces import Kind
 from svprep.model import F64, U8
 
+OURS: Final = f"ply\nformat binary_little_endian 1.0\ncomment {WHAT} ".encode()
+"""What files of any version begin with."""
 HEAD: Final = f"ply\nformat binary_little_endian 1.0\ncomment {TITLE}\n".encode()
 BURIED_GREY: Final = 128
 _POINTS_AT_ONCE: Final = 1 << 20

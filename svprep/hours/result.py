@@ -74,6 +74,11 @@ class SunHours:
     digest: str
     """Content digest of the cache, ``""`` for a city that is in no cache."""
     object_names: tuple[str, ...]
+    object_types: tuple[str, ...]
+    """``(n_objects,)``: ``""`` where none is stated; so are parents."""
+    object_parents: tuple[str, ...]
+    object_sources: tuple[str, ...]
+    """``(n_objects,)``: name of the file that each comes from."""
     groups: Groups
     position: F64
     """``(n_samples, 3)`` [m], cache frame; source = grid origin + position."""
@@ -87,6 +92,8 @@ class SunHours:
     """``(n_samples,)``: `Kind`."""
     is_on_solid: BOOL
     """``(n_samples,)``: of a solid; of another surface, `surfaces` says which side counts."""
+    is_stated: BOOL
+    """``(n_samples,)``: whether the kind follows from what the file says, not from geometry."""
     points: PointHours
 
     @property

@@ -23,8 +23,9 @@ from typing import Final
 import numpy as np
 
 from svprep.errors import InputError
+from svprep.hours.kinds import Kind
 from svprep.hours.spread import points_in_faces
-from svprep.hours.surfaces import Kind, Surfaces
+from svprep.hours.surfaces import Surfaces
 from svprep.model import F64, I64, U8, U32, Mesh
 from svprep.rays import for_batches
 

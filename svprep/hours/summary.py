@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
+from svprep.hours.kinds import Kind
 from svprep.hours.result import SunHours
-from svprep.hours.surfaces import Kind
 from svprep.model import F64, I64, U32
 
 PERCENTS: Final = {"median": 50, "min": 0, "p10": 10, "p90": 90}

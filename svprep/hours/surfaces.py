@@ -9,7 +9,8 @@ A face has two sides; sun is counted on one.
                  level (|nz| >= 0.5)             the upper one, however it is wound: a
                                                  sheet of ground or roof is seen from above
                  level, wound to look down,      the lower one: the bottom plate or the
-                 mostly under its own object     soffit of a shell that is not closed
+                 mostly under its own object;    soffit of a shell that is not closed
+                 or named a GroundSurface
 
 Every solid is closed; a closed component that cuts itself has been turned outward too. n is
 the unit normal of the side that counts: |nz| < 0.5 is steeper than 60 degrees.
@@ -25,6 +26,9 @@ the unit normal of the side that counts: |nz| < 0.5 is steeper than 60 degrees.
                      from above they lie within its bounds.
     roof         every other face that looks up: roofs, canopies, decks, balconies
 
+A file that says what its surfaces are (RoofSurface, WallSurface, GroundSurface) is believed
+before these rules: see `svprep.hours.semantics`. Faces of which it says nothing follow them.
+
 Geometry alone cannot tell everything. A roof that is a sheet of its own, in a model without
 ground or bottom plates, is taken for ground; ground that is one connected sheet with
 buildings is taken for roof; a deck or a bridge is a roof; a wall sheet that is wound
@@ -34,29 +38,18 @@ wrongly counts its other side.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 
 from svprep.cache.reader import Cache
+from svprep.hours.kinds import LEVEL, Kind
 from svprep.hours.scene import component_of_faces
+from svprep.hours.semantics import UNSTATED, is_bottom, stated_kinds
 from svprep.hours.spread import points_in_faces
 from svprep.model import BOOL, F64, I8, I64, U8, ComponentFlag, Mesh, Prepared
 from svprep.rays import RAYS_AT_ONCE, Scene, displaced, for_batches
 
-
-class Kind(IntEnum):
-    """What a face is. The numbers stand in PLY files."""
-
-    ROOF = 0
-    WALL = 1
-    GROUND = 2
-    UNDERSIDE = 3
-
-
-LEVEL: Final = 0.5
-"""A face is level from this |nz| of its unit normal on, else steep: 60 degrees."""
 MOST_WALL: Final = 0.1
 """Square metres of wall to a square metre that looks up: at most so much has ground."""
 BENEATH_M: Final = 0.5
@@ -74,10 +67,10 @@ RULES: Final = (
     f"most {MOST_WALL:g} m2 of wall to 1 m2 looking up and nothing more than {BENEATH_M:g} m "
     "beneath most of it (or is a closed block that half of the objects stand on); roof: else"
 )
-"""The rules in one line."""
+"""The rules of geometry in one line; those of names are `svprep.hours.semantics`."""
 SIDES: Final = (
     "closed components: outward; else walls as wound, level faces the upper side (the lower one if "
-    "wound to look down under faces of their own object)"
+    "wound to look down under faces of their own object, or named GroundSurface)"
 )
 """Which side counts, in one line."""
 
@@ -92,6 +85,8 @@ class Surfaces:
     """``(n_faces,)``: +1 where that is the side of the stored winding, else -1."""
     kind: U8
     """``(n_faces,)``: `Kind`."""
+    is_stated: BOOL
+    """``(n_faces,)``: whether the kind follows from what the file says, not from geometry."""
     area_m2: F64
     """``(n_faces,)`` [m2]."""
     object: I64
@@ -130,10 +125,7 @@ def surfaces_of(cache: Cache | Prepared, scene: Scene, offset_m: float) -> Surfa
 
     Notes
     -----
-    One vertical ray per 100 m2 of what is level, at least one a face; O(n) else. A face of a
-    format that states what its surfaces are (CityGML's RoofSurface, WallSurface,
-    GroundSurface) will take its kind from there: `_kinds` is where it enters. No format that
-    is read now does.
+    One vertical ray per 100 m2 of what is level, at least one a face; O(n) else.
     """
     mesh, components = cache.mesh, cache.components
     corners = mesh.positions[mesh.faces].astype(np.float64)
@@ -155,22 +147,30 @@ def surfaces_of(cache: Cache | Prepared, scene: Scene, offset_m: float) -> Surfa
         is_closed=closed[component],
         is_solid=solid[component],
     )
-    side = _sides(shape)
+    side = _sides(shape, is_bottom(cache.labels))
     counted = shape.unit * side[:, None]
+    stated = stated_kinds(cache.labels, shape.object, counted[:, 2])
+    is_stated = stated != UNSTATED
     return Surfaces(
         normal=counted,
         side=side,
-        kind=_kinds(shape, counted[:, 2]),
+        kind=np.where(is_stated, stated, _kinds(shape, counted[:, 2])),
+        is_stated=is_stated,
         area_m2=shape.area_m2,
         object=shape.object,
         is_solid=shape.is_solid,
     )
 
 
-def _sides(shape: _Shape) -> I8:
-    """Return ``(n_faces,)``: +1 where the side of the stored winding counts, else -1."""
+def _sides(shape: _Shape, is_bottom: BOOL) -> I8:
+    """Return ``(n_faces,)``: +1 where the side of the stored winding counts, else -1.
+
+    `is_bottom`: the faces that their file names a bottom plate or soffit.
+    """
     side = np.ones(len(shape.unit), np.int8)
-    down = np.flatnonzero(~shape.is_closed & (shape.unit[:, 2] <= -LEVEL))
+    is_open = ~shape.is_closed & (np.abs(shape.unit[:, 2]) >= LEVEL)
+    side[is_open & is_bottom & (shape.unit[:, 2] > 0.0)] = -1
+    down = np.flatnonzero(is_open & ~is_bottom & (shape.unit[:, 2] < 0.0))
     side[down] = np.where(_is_under_its_own(shape, down), 1, -1)
     return side
 

@@ -6,55 +6,99 @@ A format is a module with a function that returns a `ParsedFile`, and an entry i
 
 from __future__ import annotations
 
-import gzip
-import json
 import os
-import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from svprep.errors import InputError
 from svprep.ingest.file_bytes import check_file, read_file
+from svprep.ingest.filters import filtered
+from svprep.ingest.inputs import TILESET, expanded, is_tileset, suffix_of_model
+from svprep.ingest.notes import merged_notes
+from svprep.ingest.options import HIGHEST, ReadOptions
 from svprep.ingest.parsed import ParsedFile, Report, encodable
-from svprep.model import U8, FaceFindings, SourceFile, SourceMesh
+from svprep.model import U8, FaceFindings, Place, SourceFile, SourceMesh
 
 Progress = Callable[[int, int], None]
 """Told the bytes that are read and the bytes of all input files."""
 
-_Reader = Callable[[U8, Path, str, Executor, Report], ParsedFile]
+_Reader = Callable[[U8, Path, str, Executor, Report, ReadOptions], ParsedFile]
 
 
-def _read_obj(data: U8, path: Path, stem: str, pool: Executor, report: Report) -> ParsedFile:
+def _read_obj(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
     from svprep.ingest.obj import read_obj
 
     return read_obj(data, path, stem, pool, report)
 
 
-def _read_ply(data: U8, path: Path, stem: str, pool: Executor, report: Report) -> ParsedFile:
+def _read_ply(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
     from svprep.ingest.trimesh_formats import read_ply
 
     return read_ply(data, path, stem)
 
 
-def _read_stl(data: U8, path: Path, stem: str, pool: Executor, report: Report) -> ParsedFile:
+def _read_stl(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
     from svprep.ingest.trimesh_formats import read_stl
 
     return read_stl(data, path, stem)
 
 
-def _read_off(data: U8, path: Path, stem: str, pool: Executor, report: Report) -> ParsedFile:
+def _read_off(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
     from svprep.ingest.off import read_off
 
     return read_off(data, path, stem)
 
 
-def _read_gltf(data: U8, path: Path, stem: str, pool: Executor, report: Report) -> ParsedFile:
+def _read_gltf(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
     from svprep.ingest.gltf import read_gltf
 
     return read_gltf(data, path, stem)
+
+
+def _read_cityjson(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
+    from svprep.ingest.cityjson import read_cityjson
+
+    return read_cityjson(data, path, stem, report, options)
+
+
+def _read_citygml(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
+    from svprep.ingest.citygml import read_citygml
+
+    return read_citygml(data, path, stem, report, options)
+
+
+def _read_b3dm(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
+    from svprep.ingest.b3dm import read_b3dm
+
+    return read_b3dm(data, path, stem)
+
+
+def _read_tileset(
+    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+) -> ParsedFile:
+    from svprep.ingest.tileset import read_tileset
+
+    return read_tileset(path, report, options)
 
 
 _SUFFIXES: dict[str, tuple[str, _Reader]] = {
@@ -64,55 +108,92 @@ _SUFFIXES: dict[str, tuple[str, _Reader]] = {
     ".off": ("off", _read_off),
     ".glb": ("glb", _read_gltf),
     ".gltf": ("gltf", _read_gltf),
+    ".b3dm": ("b3dm", _read_b3dm),
+    ".json": ("cityjson", _read_cityjson),
+    ".jsonl": ("cityjsonseq", _read_cityjson),
+    ".gml": ("citygml", _read_citygml),
+    ".xml": ("citygml", _read_citygml),
 }
+_TILES = ("3dtiles", _read_tileset)
+_HAVE_LODS = ("cityjson", "cityjsonseq", "citygml")
 _NOT_YET = {
-    ".json": "CityJSON",
-    ".gml": "CityGML",
-    ".xml": "CityGML",
     ".poly": "TetGen polyhedra",
 }
-_TILESET_KEYS = ("root", "geometricError")
+_MOST_SURFACE_NAMES = 256
+_OTHER_SURFACE = "other"
 _MOST_FACES = 715_000_000  # three times as many stay below 2**31
-_TILESET_BYTES = 64 << 20  # larger files are not looked into: a tileset names files
 
 
-def read(paths: Sequence[str | Path], progress: Progress | None = None) -> SourceMesh:
+def read(
+    paths: Sequence[str | Path],
+    progress: Progress | None = None,
+    options: ReadOptions | None = None,
+) -> SourceMesh:
     """Read model files into one mesh of triangles, grouped by object.
 
     Parameters
     ----------
     paths
-        One or more files; their format follows from the suffix, ``.gz`` behind it means
-        gzip. The objects of all files are listed one file after the other; equal names in
-        different files are different objects.
+        Files, folders and patterns: see `svprep.ingest.inputs`. The format of a file follows
+        from its suffix, ``.gz`` behind it means gzip. The objects of all files are listed one
+        file after the other; equal names in different files are different objects.
     progress
         Called now and then, from this thread.
+    options
+        What of the files is wanted.
 
     Raises
     ------
     InputError
         One line: which file (and line), what is wrong, what to do.
     """
-    files = [Path(path) for path in paths]
-    if not files:
+    options = options or ReadOptions()
+    if not paths:
         raise InputError("No input file was given; name at least one model file.")
+    inputs = expanded(paths)
+    files = [_file_of(path) for path in inputs.paths]
     formats = [_format_of(path) for path in files]
+    _refuse_repeated(files, inputs.paths, [reader is _read_tileset for _, reader in formats])
     sizes = [check_file(path) for path in files]
-    _refuse_repeated(files)
-    parsed, sources = [], []
+    parsed, digests = [], []
     with ThreadPoolExecutor(_n_threads()) as pool:
-        for i, (path, (format_name, reader)) in enumerate(zip(files, formats, strict=True)):
+        for i, (path, (_, reader)) in enumerate(zip(files, formats, strict=True)):
 
             def report(fraction: float, i: int = i) -> None:
                 if progress is not None:
                     progress(sum(sizes[:i]) + int(fraction * sizes[i]), sum(sizes))
 
             data, sha256 = read_file(path, pool)
-            parsed.append(reader(data, path, _stem(path), pool, report))
+            parsed.append(reader(data, path, _stem(path), pool, report, options))
             report(1.0)
-            name = str(paths[i])
-            sources.append(SourceFile(name, format_name, sizes[i], sha256(parsed[i].beside)))
-    return _concatenate(parsed, sources)
+            digests.append(sha256(parsed[i].beside))
+    sources = [
+        SourceFile(name, format_name, size, digest, p.crs)
+        for name, (format_name, _), size, digest, p in zip(
+            inputs.paths, formats, sizes, digests, parsed, strict=True
+        )
+    ]
+    parsed = [_lod_noted(p, source, options) for p, source in zip(parsed, sources, strict=True)]
+    parsed, place = _in_one_frame(filtered(parsed, files, options), files)
+    return replace(_concatenate(parsed, sources, inputs.notes), place=place)
+
+
+def _in_one_frame(parsed: list[ParsedFile], files: list[Path]) -> tuple[list[ParsedFile], Place]:
+    """Bring all files into one frame in metres, if any states a CRS."""
+    if not any(p.crs for p in parsed):
+        return parsed, Place()
+    from svprep.ingest.georeference import in_one_frame
+
+    return in_one_frame(parsed, files)
+
+
+def _lod_noted(parsed: ParsedFile, source: SourceFile, options: ReadOptions) -> ParsedFile:
+    """Say where ``--lod`` has no meaning."""
+    if options.lod == HIGHEST or source.format in _HAVE_LODS:
+        return parsed
+    format_name, lod = source.format, options.lod
+    note = f"this format ({format_name}) states no levels of detail, so --lod {lod} is ignored"
+    return replace(parsed, notes=(*parsed.notes, note))
 
 
 def _n_threads() -> int:
@@ -122,30 +203,24 @@ def _n_threads() -> int:
     return min(8, os.cpu_count() or 1)
 
 
-def _suffix(path: Path) -> str:
-    """Return the suffix that names the format, without a ``.gz`` behind it."""
-    name = path.name.lower()
-    return Path(name.removesuffix(".gz")).suffix
-
-
 def _stem(path: Path) -> str:
-    """Return the file's name without the suffixes that `_suffix` looks at."""
+    """Return the file's name without the suffix of its format and ``.gz``."""
     name = path.name[: -len(".gz")] if path.name.lower().endswith(".gz") else path.name
     return encodable(Path(name).stem)
 
 
+def _file_of(path: str) -> Path:
+    """Return the file that stands for an input: of a folder, its tileset."""
+    return Path(path, TILESET) if os.path.isdir(path) else Path(path)
+
+
 def _format_of(path: Path) -> tuple[str, _Reader]:
     """Return the format's name and reader."""
-    suffix = _suffix(path)
+    suffix = suffix_of_model(path)
+    if suffix == ".json" and is_tileset(path):
+        return _TILES
     if suffix in _SUFFIXES:
         return _SUFFIXES[suffix]
-    if path.is_dir():
-        raise InputError(f"{path}: this is a folder; name the model files in it.")
-    if suffix == ".json" and _is_tileset(path):
-        raise InputError(
-            f"{path}: a 3D Tiles tileset is not read yet; name its .glb files. Its transform is "
-            "not applied to them."
-        )
     known = ", ".join(_SUFFIXES)
     if suffix in _NOT_YET:
         problem = f"{_NOT_YET[suffix]} ({suffix}) is not read yet"
@@ -156,35 +231,30 @@ def _format_of(path: Path) -> tuple[str, _Reader]:
     raise InputError(f"{path}: {problem}. Known: {known}, each also with .gz behind it.")
 
 
-def _is_tileset(path: Path) -> bool:
-    """Return whether a JSON file is a 3D Tiles tileset; what cannot be read is none."""
-    if path.name.lower().removesuffix(".gz") == "tileset.json":
-        return True
-    if not path.is_file():
-        return False
-    is_packed = path.name.lower().endswith(".gz")
-    try:
-        with gzip.open(path) if is_packed else path.open("rb") as file:
-            text = file.read(_TILESET_BYTES)
-        if b'"asset"' not in text:
-            return False
-        root = json.loads(text)
-    except (OSError, EOFError, zlib.error, ValueError, RecursionError):
-        return False
-    return isinstance(root, dict) and "asset" in root and not root.keys().isdisjoint(_TILESET_KEYS)
-
-
-def _refuse_repeated(files: list[Path]) -> None:
-    """Raise `InputError` for a file that is named twice: each of its faces would be doubled."""
+def _refuse_repeated(files: list[Path], names: Sequence[str], is_tileset: list[bool]) -> None:
+    """Raise `InputError` for what is named twice: each of its faces would be doubled."""
     seen: set[Path] = set()
-    for path in files:
-        resolved = path.resolve()
-        if resolved in seen:
-            raise InputError(f"{path} is named twice; name each file once.")
-        seen.add(resolved)
+    resolved = [path.resolve() for path in files]
+    folders = {
+        path.parent: name
+        for path, name, is_one in zip(resolved, names, is_tileset, strict=True)
+        if is_one
+    }
+    for path, name, is_one in zip(resolved, names, is_tileset, strict=True):
+        if path in seen:
+            raise InputError(f"{name} is named twice; name each file once.")
+        seen.add(path)
+        above = path.parents[1:] if is_one else path.parents
+        for folder in folders.keys() & set(above):
+            raise InputError(
+                f"{name} lies in the folder of the tileset {folders[folder]}, which is read "
+                "whole; name one of the two."
+            )
 
 
-def _concatenate(parsed: list[ParsedFile], sources: list[SourceFile]) -> SourceMesh:
+def _concatenate(
+    parsed: list[ParsedFile], sources: list[SourceFile], notes: Sequence[str] = ()
+) -> SourceMesh:
     """Put the files one behind the other."""
     n_vertices = np.array([len(p.positions) for p in parsed])
     n_objects = [len(p.object_names) for p in parsed]
@@ -203,6 +273,7 @@ def _concatenate(parsed: list[ParsedFile], sources: list[SourceFile]) -> SourceM
     first_object = (np.cumsum(n_objects) - n_objects).astype(np.uint32)
     face_counts = np.concatenate([np.diff(p.object_face_start) for p in parsed])
     findings = [p.face_findings for p in parsed]
+    surface_names, tables = _joined_names(parsed)
     return SourceMesh(
         positions=_joined([p.positions for p in parsed]),
         faces=_joined(
@@ -220,12 +291,46 @@ def _concatenate(parsed: list[ParsedFile], sources: list[SourceFile]) -> SourceM
             ),
             source_face=_joined([f.source_face for f in findings]),
         ),
-        notes=tuple(
-            encodable(f"{Path(source.path).name}: {note}")
-            for p, source in zip(parsed, sources, strict=True)
-            for note in p.notes
+        notes=(
+            *map(encodable, notes),
+            *merged_notes(
+                (Path(source.path).name, note)
+                for p, source in zip(parsed, sources, strict=True)
+                for note in p.notes
+            ),
         ),
+        object_types=_stated([p.object_types for p in parsed], n_objects),
+        object_parents=_stated([p.object_parents for p in parsed], n_objects),
+        surface_names=surface_names,
+        surface_of_polygon=np.concatenate(
+            [table[p.surface_of_polygon] for p, table in zip(parsed, tables, strict=True)]
+        ),
+        polygon_start=np.cumsum([0, *(len(p.surface_of_polygon) for p in parsed)], dtype=np.int64),
     )
+
+
+def _stated(texts: list[tuple[str, ...]], n_objects: list[int]) -> tuple[str, ...]:
+    """Return a text per object, "" for those of files that state none."""
+    filled = (t or ("",) * n for t, n in zip(texts, n_objects, strict=True))
+    return tuple(encodable(text) for texts in filled for text in texts)
+
+
+def _joined_names(parsed: list[ParsedFile]) -> tuple[tuple[str, ...], list[U8]]:
+    """Return the names of surfaces of all files, and per file where its own stand there.
+
+    The names beyond the 255th share one.
+    """
+    numbers = {"": 0}
+    for p in parsed:
+        for name in p.surface_names:
+            numbers.setdefault(encodable(name), min(len(numbers), _MOST_SURFACE_NAMES - 1))
+    names = list(numbers)[:_MOST_SURFACE_NAMES]
+    if len(numbers) > _MOST_SURFACE_NAMES:
+        names[-1] = _OTHER_SURFACE
+    tables = [
+        np.array([numbers[encodable(name)] for name in p.surface_names], np.uint8) for p in parsed
+    ]
+    return tuple(names), tables
 
 
 def _joined(arrays: list[np.ndarray]) -> np.ndarray:

@@ -17,6 +17,9 @@ The whole text after ``o`` or ``g`` is the name, ``default`` where there is none
 ``o`` the group ``default`` is no group, and ``o`` statements without any name are none.
 A name that comes back continues its object. Objects are ordered by first face.
 
+An export of svprep begins with comments (`svprep.ingest.own_header`), which tell types,
+parents, the CRS, and names that ``o`` cannot say.
+
 The text is cut at line ends into chunks of fixed size, which threads parse
 (`svprep.kernels.obj_parser`): the result does not depend on their number.
 """
@@ -26,7 +29,7 @@ from __future__ import annotations
 import queue
 import re
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +37,7 @@ import numpy as np
 
 from svprep.errors import InputError
 from svprep.ingest.obj_statements import decode, keyword_notes, objects_of
+from svprep.ingest.own_header import OwnHeader, parse_header
 from svprep.ingest.parsed import ParsedFile, Report, count_of
 from svprep.ingest.triangulation import Triangulation, triangulate
 from svprep.kernels import obj_parser
@@ -42,6 +46,8 @@ from svprep.model import F64, I32, I64, U8, U32, FaceFindings
 
 CHUNK_BYTES = 2 << 20
 _BINARY_PROBE_BYTES = 4096
+_OWN_MARK = b"# svprep export "
+_NO_COMMENT = re.compile(rb"[\r\n](?!#)")
 
 _TOKEN = re.compile(rb"[^ \t\v\f\r\n\\#]*")
 
@@ -126,7 +132,36 @@ def read_obj(data: U8, path: Path, stem: str, pool: Executor, report: Report) ->
             "corners, so nothing casts a shadow."
         )
     report(1.0)
-    return _group(text.positions, triangulation, names, object_of_polygon, notes)
+    parsed = _group(text.positions, triangulation, names, object_of_polygon, notes)
+    header = parse_header(_head_comments(data), path)
+    return parsed if header is None else _labelled(parsed, header)
+
+
+def _head_comments(data: U8) -> list[str]:
+    """Return the comment lines that an export of svprep begins with, without their marks."""
+    if data[: len(_OWN_MARK)].tobytes() != _OWN_MARK:
+        return []
+    # The first byte of a line that is no comment ends them.
+    text = data.tobytes()
+    end = _NO_COMMENT.search(text)
+    head = text[: end.start() + 1 if end else len(text)].decode(errors="replace")
+    return [line[2:] for line in head.splitlines()]
+
+
+def _labelled(parsed: ParsedFile, header: OwnHeader) -> ParsedFile:
+    """Return an export of svprep with what its header says of the objects."""
+    told = {found.written: found for found in header.objects}
+    of = [told.get(name) for name in parsed.object_names]
+    return replace(
+        parsed,
+        object_names=tuple(
+            found.name if found else name
+            for found, name in zip(of, parsed.object_names, strict=True)
+        ),
+        object_types=tuple(found.type if found else "" for found in of),
+        object_parents=tuple(found.parent if found else "" for found in of),
+        crs=header.crs,
+    )
 
 
 def _refuse_binary(data: U8, path: Path) -> None:

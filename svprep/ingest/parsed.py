@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.model import F64, I64, U32, FaceFindings
+from svprep.model import F64, I64, U8, U32, FaceFindings
 
 Report = Callable[[float], None]
 """Told the fraction of a file that is read, 0 to 1."""
@@ -34,7 +34,15 @@ class ParsedFile:
     notes: tuple[str, ...]
     """Without the file's name."""
     beside: tuple[bytes, ...] = ()
-    """What was read from files beside this one, which its digest covers too."""
+    """What was read from files beside this one, which its digest covers too; of 3D Tiles,
+    which may be gigabytes, the SHA-256 of each file instead of its bytes."""
+    object_types: tuple[str, ...] = ()
+    object_parents: tuple[str, ...] = ()
+    surface_names: tuple[str, ...] = ("",)
+    surface_of_polygon: U8 = field(default_factory=lambda: np.zeros(0, np.uint8))
+    """``(n_polygons,)``, or empty where the file states none."""
+    crs: str = ""
+    """As the file states it; positions are in its units, x to the east, y to the north."""
 
 
 def no_findings() -> FaceFindings:

@@ -45,6 +45,9 @@ class PlyFaces(NamedTuple):
     """``(n_corners,)``, in the file's type."""
     sizes: I64
     """``(n_faces,)``"""
+    values: dict[str, NDArray[Any]]
+    """``(n_faces,)`` each: the single values that faces have, by name; none where the rows
+    of faces differ in length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,13 @@ def decode(text: bytes, path: Path) -> PlyFaces:
             elif not {"vertex", "face"} <= found.keys():
                 pos = _walk(text, pos, element, -1, path)[2]
     return PlyFaces(found["vertex"], *found["face"])
+
+
+def comments(text: bytes) -> list[str]:
+    """Return the comments of the header."""
+    end = _END.search(text)
+    lines = text[: end.start()].decode(errors="replace").splitlines() if end else []
+    return [line.removeprefix("comment ") for line in lines if line.startswith("comment ")]
 
 
 def _damaged(path: Path, problem: str) -> InputError:
@@ -171,8 +181,8 @@ def _uniform_rows(text: bytes, pos: int, element: _Element) -> NDArray[Any] | No
 
 def _faces(
     text: bytes, pos: int, element: _Element, path: Path
-) -> tuple[tuple[NDArray[Any], I64], int]:
-    """Return the corners and sizes of all faces, and the byte behind them."""
+) -> tuple[tuple[NDArray[Any], I64, dict[str, NDArray[Any]]], int]:
+    """Return corners, sizes and single values of all faces, and the byte behind them."""
     lists = [i for i, prop in enumerate(element.properties) if prop.count is not None]
     named = [i for i in lists if element.properties[i].name in _RING_NAMES]
     if not lists:
@@ -182,14 +192,15 @@ def _faces(
     if rows is not None:
         corners = rows[f"{ring}"]
         sizes = np.full(len(rows), corners.shape[1], np.int64)
-        return (corners.reshape(-1), sizes), pos + rows.nbytes
+        values = {p.name: rows[f"{i}"] for i, p in enumerate(element.properties) if not p.count}
+        return (corners.reshape(-1), sizes, values), pos + rows.nbytes
     begins, sizes, end = _walk(text, pos, element, ring, path)
     dtype = element.properties[ring].dtype
     within = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     at = np.repeat(begins, sizes) + within * dtype.itemsize
     data = np.frombuffer(text, np.uint8)
     corners = data[at[:, None] + np.arange(dtype.itemsize)].view(dtype).reshape(-1)
-    return (corners, sizes), end
+    return (corners, sizes, {}), end
 
 
 def _walk(

@@ -11,6 +11,7 @@ import io
 import re
 import struct
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from svprep.errors import InputError
 from svprep.ingest import ply_binary
+from svprep.ingest.own_header import OwnHeader, parse_header
 from svprep.ingest.parsed import (
     ParsedFile,
     count_of,
@@ -34,12 +36,16 @@ _STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 
 
 def read_ply(data: U8, path: Path, stem: str) -> ParsedFile:
-    """Read a PLY file, ASCII or binary: one object with all its polygons."""
+    """Read a PLY file, ASCII or binary: one object with all its polygons.
+
+    A binary one that svprep exported gives its objects again, empty ones too.
+    """
     text = data[:-1].tobytes()
+    values: dict[str, Any] = {}
     if ply_binary.is_binary(text):
         announced = ply_binary.element_counts(text, path)
         _refuse_no_faces(announced, path)
-        positions, corners, sizes = ply_binary.decode(text, path)
+        positions, corners, sizes, values = ply_binary.decode(text, path)
     else:
         positions, corners, sizes, announced = _ascii_ply(data[:-1], path)
     refuse_non_finite(positions, path, f'object "{shown(stem)}"')
@@ -55,7 +61,43 @@ def read_ply(data: U8, path: Path, stem: str) -> ParsedFile:
         if n and name not in ("vertex", "face")
     ]
     start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    return polygons_as_object(positions, corners.astype(np.uint32), start, path, stem, notes)
+    parsed = polygons_as_object(positions, corners.astype(np.uint32), start, path, stem, notes)
+    header = parse_header(ply_binary.comments(text), path) if values else None
+    return parsed if header is None else _labelled(parsed, header, values, path)
+
+
+def _labelled(
+    parsed: ParsedFile, header: OwnHeader, values: dict[str, Any], path: Path
+) -> ParsedFile:
+    """Return an export of svprep as the objects that its faces belong to."""
+    owner, surface = values.get("object_id"), values.get("surface")
+    n_objects, n_surfaces = len(header.objects), len(header.surface_names)
+    if owner is None or surface is None or owner.dtype.kind not in "iu":
+        return replace(parsed, crs=header.crs)
+    for what, numbers, n in (("object", owner, n_objects), ("surface", surface, n_surfaces)):
+        is_bad = ~((numbers >= 0) & (numbers < n))
+        if is_bad.any():
+            raise InputError(
+                f"{path}: face {int(np.argmax(is_bad))} is of {what} {numbers[is_bad][0]}, but "
+                f"this export of svprep names {n} in its header; export it again."
+            )
+    owner = owner.astype(np.int64)
+    of_face = owner[parsed.source_face]
+    order = np.argsort(of_face, kind="stable")
+    findings = parsed.face_findings
+    return replace(
+        parsed,
+        faces=np.ascontiguousarray(parsed.faces[order]),
+        object_face_start=np.searchsorted(of_face[order], np.arange(n_objects + 1)),
+        source_face=parsed.source_face[order],
+        object_names=tuple(found.name for found in header.objects),
+        face_findings=replace(findings, object_index=owner[findings.source_face].astype(np.uint32)),
+        object_types=tuple(found.type for found in header.objects),
+        object_parents=tuple(found.parent for found in header.objects),
+        surface_names=header.surface_names,
+        surface_of_polygon=surface.astype(np.uint8),
+        crs=header.crs,
+    )
 
 
 def _refuse_no_faces(announced: dict[str, int], path: Path) -> None:

@@ -12,13 +12,15 @@ import math
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.model import F64, I32, U32, Grid, SourceMesh
+from svprep.model import F64, I32, U32, Grid, Mesh, SourceMesh
 
 MAX_COORDINATE = 1 << 24
 """A grid coordinate is an integer in [-2**24, 2**24]."""
 COARSEST_STEP_M = 2.0**-4
 """[m]: a model that needs a coarser grid is refused (extent above 2,097 km)."""
 FINEST_EXPONENT = -60
+FINE_STEP_M = 0.001
+"""[m]: a coarser step than this is worth a note; 32 km fit a finer one."""
 
 
 def choose_grid(source: SourceMesh) -> Grid:
@@ -55,6 +57,20 @@ def choose_grid(source: SourceMesh) -> Grid:
         raise _too_large(source, points, extent)
     centre = low_index + np.floor((high_index - low_index) / 2)
     return Grid(step_m=step, origin_m=centre * step)
+
+
+def notes_on_step(mesh: Mesh) -> tuple[str, ...]:
+    """Return the note that the extent makes the grid coarser than `FINE_STEP_M`, if it does."""
+    step_m = mesh.grid.step_m
+    if step_m <= FINE_STEP_M or not len(mesh.positions):
+        return ()
+    extent_m = float(np.ptp(mesh.positions.astype(np.float64), axis=0).max())
+    if extent_m <= MAX_COORDINATE * step_m:  # it would fit a finer one, but for float64
+        return (f"that far from the origin the grid step is {step_m * 1000:.2g} mm",)
+    return (
+        f"the extent of {extent_m / 1000:.3g} km allows a grid step of {step_m * 1000:.2g} mm; "
+        "build parts of it apart for a finer one",
+    )
 
 
 def to_grid(positions: F64, grid: Grid) -> I32:

@@ -70,6 +70,8 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
     is_flipped = winding.is_flipped[winding.is_kept]
     duplicates = _list_duplicates(mesh, ~winding.is_kept)
     mesh = _turn_and_drop(mesh, winding.is_kept, is_flipped)
+    if is_flipped.any() or not winding.is_kept.all():
+        mesh, points = _numbered_by_first_use(mesh)
 
     groups, mate = _pair_all(mesh, points)
     component, lowest = connect(mate, len(mesh.faces))
@@ -78,6 +80,7 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
         mesh = replace(mesh, faces=mesh.faces[order], source_face=mesh.source_face[order])
         is_flipped = is_flipped[order]
         component = component[order]
+        mesh, points = _numbered_by_first_use(mesh)
         groups, mate = _pair_all(mesh, points)
     lowest = component_face_start[:-1].astype(np.int32)
 
@@ -133,6 +136,23 @@ def record(source: SourceMesh, weld: WeldReport, report: RepairReport) -> Repair
         ),
         flipped_faces=report.flipped_faces,
     )
+
+
+def _numbered_by_first_use(mesh: Mesh) -> tuple[Mesh, I32]:
+    """Return `mesh` with its vertices in the order in which its faces use them, and their points.
+
+    As welding numbers them, so that a build of the repaired mesh gives the same mesh. An
+    object keeps all its vertices: what is dropped has a double that stays. O(n).
+    """
+    corners = mesh.faces.reshape(-1)
+    places = np.arange(len(corners))
+    first = np.full(len(mesh.positions), len(corners))
+    first[corners[::-1]] = places[::-1]  # the last write, the first use, stays
+    old = corners[first[corners] == places]
+    new = np.empty(len(mesh.positions), np.uint32)
+    new[old] = np.arange(len(old), dtype=np.uint32)
+    mesh = replace(mesh, positions=mesh.positions[old], faces=new[mesh.faces])
+    return mesh, grid_coordinates(mesh.positions, mesh.grid)
 
 
 def _pair_all(mesh: Mesh, points: I32) -> tuple[EdgeGroups, I32]:

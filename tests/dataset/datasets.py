@@ -26,8 +26,12 @@ ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "data"
 SHARED = ROOT.parent / "shared" / "data"
 SHARED_FOLDERS = ("cities", "broken", "readers")
-READ = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-"""Suffixes that svprep reads now; other files in ``../shared`` are for later formats."""
+MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+CITIES = (".json", ".jsonl", ".gml", ".xml", ".b3dm")
+READ = MESHES + CITIES
+"""Suffixes that svprep reads; other files in ``../shared`` are none of its formats."""
+TILESET = "tileset.json"
+"""A folder with such a file is one dataset; the files in it are not others."""
 
 
 REFUSED_SHARED = {
@@ -43,8 +47,8 @@ REFUSED_SHARED = {
 
 
 def is_readable(path: Path) -> bool:
-    """Whether `path` has a suffix of `READ`, gzipped or not."""
-    return path.name.lower().removesuffix(".gz").endswith(READ)
+    """Whether `path` has a suffix of `READ`, gzipped or not, or is a tileset's folder."""
+    return path.is_dir() or path.name.lower().removesuffix(".gz").endswith(READ)
 
 
 def manifest() -> dict[str, dict]:
@@ -54,13 +58,11 @@ def manifest() -> dict[str, dict]:
 
 
 def shared_files() -> list[Path]:
-    """Return the files of ``../shared/data``, or none where it is absent."""
-    return [
-        path
-        for folder in SHARED_FOLDERS
-        for path in sorted((SHARED / folder).rglob("*"))
-        if path.is_file()
-    ]
+    """Return the datasets of ``../shared/data``, or none where it is absent."""
+    paths = [p for folder in SHARED_FOLDERS for p in sorted((SHARED / folder).rglob("*"))]
+    tilesets = [path.parent for path in paths if path.name == TILESET]
+    files = [p for p in paths if p.is_file() and not set(p.parents) & set(tilesets)]
+    return sorted(files + tilesets)
 
 
 def buildable_files() -> list[Path]:

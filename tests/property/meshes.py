@@ -47,8 +47,8 @@ class Built:
 
     @property
     def points(self) -> np.ndarray:
-        """``(n_vertices, 3) int32``: grid coordinates of welded and repaired mesh alike."""
-        return grid_coordinates(self.mesh.positions, self.mesh.grid)
+        """``(n_vertices, 3) int32``: grid coordinates of the repaired mesh."""
+        return grid_coordinates(self.repaired.mesh.positions, self.mesh.grid)
 
     @property
     def component_of_face(self) -> np.ndarray:

@@ -25,7 +25,9 @@ from svprep.model import (
     EdgeTable,
     FaceFindings,
     Grid,
+    Labels,
     Mesh,
+    Place,
     PlaneTable,
     Prepared,
     RepairRecord,
@@ -106,6 +108,13 @@ def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
         ),
         object_names=("roof", "Türmchen \N{CASTLE}"),
         object_source=np.array([0, 1], np.uint32),
+        labels=Labels(
+            ("BuildingPart", ""),
+            ("Haus 7", ""),
+            ("", "RoofSurface"),
+            np.array([1, 1, 0, 0, 0, 0], np.uint8),
+        ),
+        place=Place("EPSG:7415", 51.99, 4.38, -0.78),
         mesh=mesh,
         components=Components(
             object_start=np.array([0, 1, 2], np.int64),
@@ -270,6 +279,8 @@ def nothing() -> Prepared:
         sources=(),
         object_names=(),
         object_source=none32,
+        labels=Labels.none(0, 0),
+        place=Place(),
         mesh=Mesh(
             grid=sample.mesh.grid,
             positions=np.zeros((0, 3), np.float32),

@@ -223,7 +223,7 @@ def test_the_crs_notes_and_paths_stay(tmp_path: Path, monkeypatch: pytest.Monkey
     path = tmp_path / "sample.svp.h5"
     with monkeypatch.context() as patch:
         patch.setattr(codec, "__version__", "0.0.1")
-        write_cache(strip_and_tetrahedron(), path, crs="EPSG:28992")
+        write_cache(strip_and_tetrahedron(), path)
     before = raw_bytes(path)
     assert summary(add_lights(path, [SUN])) == (1, 0, 0)
     after = raw_bytes(path)
@@ -231,6 +231,6 @@ def test_the_crs_notes_and_paths_stay(tmp_path: Path, monkeypatch: pytest.Monkey
     # Whoever adds lights has written the file.
     assert changed == OF_LIGHTS | {"@content_digest", "@root_digest", "@producer_version"}
     with open_cache(path) as opened:
-        assert opened.crs == "EPSG:28992"
+        assert opened.crs == "EPSG:7415"
         assert opened.clamp.specs == ("dir:0,90", "point:Über,dem,Dach", SUN)
         assert_same(selected(opened.clamp, [0, 1]), strip_and_tetrahedron().clamp)

@@ -78,7 +78,7 @@ def test_the_reader_is_short_and_needs_only_h5py_and_numpy(reader: Path) -> None
 def test_the_reader_reads_a_cache(reader: Path, tmp_path: Path) -> None:
     sample = strip_and_tetrahedron()
     path = tmp_path / "a.svp.h5"
-    summary = write_cache(sample, path, crs="EPSG:7415")
+    summary = write_cache(sample, path)
     result = run(reader, path)
     assert result.returncode == 0, result.stderr
     rows, flags = sample.edges.rows, sample.edges.flags

@@ -116,7 +116,7 @@ def test_what_is_all_buried_has_no_quantile() -> None:
 
 def test_the_header_says_everything(cache: Cache, hours: SunHours, table: bytes) -> None:
     header, _ = parsed(table)
-    assert table.startswith(b"# svprep sun hours 1\n# header lines: ")
+    assert table.startswith(b"# svprep sun hours 2\n# header lines: ")
     arc = hours.arc
     assert header == {
         "header lines": str(len(header) + 1),
@@ -147,14 +147,21 @@ def test_the_header_says_everything(cache: Cache, hours: SunHours, table: bytes)
         "samples on surfaces that are not solid": str((hours.object == 0).sum()),
         "repair findings": ", ".join(f"{k} {n}" for k, n in total_counts(cache.repair).items()),
         "side that counts": header["side that counts"],
-        "kinds": header["kinds"],
+        "kinds as the files name surfaces": header["kinds as the files name surfaces"],
+        "kinds by geometry": header["kinds by geometry"],
+        "samples whose kind the files state": "0",
         "sunlit": header["sunlit"],
         "atmosphere": "refraction is included; weather and terrain beyond the model are not",
         "columns": header["columns"],
         "names": header["names"],
     }
     assert "D302 OPEN_SHELL 4" in header["repair findings"]
-    for key, word in (("kinds", "60 degrees"), ("columns", "Hyndman"), ("sunlit", "in front")):
+    for key, word in (
+        ("kinds by geometry", "60 degrees"),
+        ("kinds as the files name surfaces", "RoofSurface"),
+        ("columns", "Hyndman"),
+        ("sunlit", "in front"),
+    ):
         assert word in header[key]
 
 
@@ -167,9 +174,10 @@ def test_rows_keep_hostile_names_apart(hours: SunHours, table: bytes) -> None:
         i: name.encode("utf-8", "backslashreplace").decode() if i not in (4, 5, 6) else f"'{name}"
         for i, name in enumerate(NAMES)
     }
-    assert {row[2] for row in rows} == {"roof", "wall", "ground", "underside"}
+    assert {tuple(row[2:5]) for row in rows} == {("", "", "test.obj")}
+    assert {row[5] for row in rows} == {"roof", "wall", "ground", "underside"}
     for row, area in zip(rows, hours.groups.area_m2.tolist(), strict=True):
-        assert float(row[3]) == pytest.approx(area, rel=1e-3)
+        assert float(row[6]) == pytest.approx(area, rel=1e-3)
 
 
 def test_pandas_reads_it_in_either_way(table: bytes, hours: SunHours) -> None:

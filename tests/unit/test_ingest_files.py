@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gzip
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from svprep import ingest
 from svprep.errors import InputError
 from svprep.ingest import file_bytes, read
+from svprep.ingest.options import ReadOptions
 from svprep.ingest.parsed import ParsedFile, no_findings
+from svprep.model import SourceFile
 
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
 
@@ -68,9 +71,14 @@ def test_missing_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["city", "city.obj"])
-def test_a_folder(tmp_path, name):
+def test_a_folder_without_models(tmp_path, name):
     (tmp_path / name).mkdir()
-    assert "this is a folder" in refusal(tmp_path / name)
+    assert "no model in this folder" in refusal(tmp_path / name)
+
+
+def test_a_way_through_a_file(tmp_path):
+    (tmp_path / "a.obj").write_bytes(TRIANGLE)
+    assert "leads through a file" in refusal(tmp_path / "a.obj" / "b.obj")
 
 
 @pytest.mark.skipif(
@@ -97,9 +105,6 @@ def test_no_permission_as_told_by_the_system(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
-        ("a.city.json", "CityJSON (.json) is not read yet"),
-        ("a.gml", "CityGML (.gml) is not read yet"),
-        ("a.xml.gz", "CityGML (.xml) is not read yet"),
         ("a.poly", "TetGen polyhedra (.poly) is not read yet"),
         ("a.fbx", 'no reader for the suffix ".fbx"'),
         ("a", "no suffix"),
@@ -109,28 +114,77 @@ def test_unknown_suffixes(tmp_path, name, problem):
     message = refusal(tmp_path / name)
     assert problem in message
     assert "Known: .obj, .ply, .stl, .off, .glb, .gltf" in message
+    assert ".json, .jsonl, .gml, .xml, each also with .gz" in message
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "is_tileset"),
+    ("name", "content", "problem"),
     [
-        ("tileset.json", b"", True),
-        ("Tileset.json.gz", b"no gzip", True),
-        ("a.json", b'{"asset": {}, "root": {}}', True),
-        ("a.json.gz", gzip.compress(b'{"asset": {}, "geometricError": 1}'), True),
-        ("a.json", b'{"asset": {}}', False),
-        ("a.json", b'{"type": "CityJSON", "x": {"asset": 1, "root": 1}}', False),
-        ("a.json", b'["asset", "root"]', False),
-        ("a.json", b'{"asset": ' + b"[" * 100_000, False),
-        ("a.json.gz", b'"asset"', False),
-        ("a.json.gz", gzip.compress(b'{"asset": {}, "root": {}}')[:-12], False),
+        ("a.city.json", b"{", "a.city.json"),
+        ("a.city.json.gz", gzip.compress(b'{"type": "Feature"}'), "a.city.json.gz"),
+        ("a.city.jsonl", b"[]\n", "a.city.jsonl"),
+        ("a.gml", b"<kml/>", "a.gml"),
+        ("a.xml.gz", gzip.compress(b"<svg"), "a.xml.gz"),
+        ("a.b3dm", b"glTF", "a.b3dm"),
+        ("tileset.json", b"{", "tileset.json"),
+        ("a.json", b'{"asset": {}, "root": {}}', "a.json"),
     ],
 )
-def test_tilesets(tmp_path, name, content, is_tileset):
+def test_a_file_that_is_not_what_its_suffix_says(tmp_path, name, content, problem):
     (tmp_path / name).write_bytes(content)
-    message = refusal(tmp_path / name)
-    assert ("a 3D Tiles tileset is not read yet; name its .glb files" in message) == is_tileset
-    assert ("CityJSON (.json) is not read yet" in message) != is_tileset
+    assert problem in refusal(tmp_path / name)
+
+
+def labelled(name: str, *surfaces: str, types: tuple[str, ...] = (), crs: str = "") -> ParsedFile:
+    """Return a file of one object, a triangle per surface name."""
+    n = len(surfaces)
+    return ParsedFile(
+        np.arange(9.0).reshape(3, 3),
+        np.tile(np.arange(3, dtype=np.uint32), (n, 1)),
+        np.array([0, n], np.int64),
+        np.arange(n, dtype=np.uint32),
+        (name,),
+        no_findings(),
+        (),
+        object_types=types,
+        surface_names=("", *surfaces),
+        surface_of_polygon=np.arange(1, n + 1, dtype=np.uint8),
+        crs=crs,
+    )
+
+
+def test_labels_of_several_files_are_joined():
+    plain = replace(labelled("b", "x"), surface_names=("",), surface_of_polygon=np.zeros(0, "u1"))
+    files = [
+        labelled("a", "Roof", "Wall", types=("Building",)),
+        plain,
+        labelled("c", "Wall", "Door"),
+    ]
+    sources = [SourceFile(f"{p.object_names[0]}.gml", "citygml", 1, "") for p in files]
+    mesh = ingest._concatenate(files, sources)
+    assert mesh.object_types == ("Building", "", "")
+    assert mesh.object_parents == ("", "", "")
+    assert mesh.surface_names == ("", "Roof", "Wall", "Door")
+    assert mesh.surface_of_polygon.tolist() == [1, 2, 2, 3]
+    assert mesh.polygon_start.tolist() == [0, 2, 2, 4]
+
+
+def test_more_surface_names_than_a_byte_counts():
+    names = [f"surface {i}" for i in range(300)]
+    files = [labelled(f"{i}", *names[i : i + 100]) for i in (0, 100, 200)]
+    mesh = ingest._concatenate(files, [SourceFile("a.gml", "citygml", 1, "")] * 3)
+    assert len(mesh.surface_names) == 256
+    assert mesh.surface_names[-1] == "other"
+    found = [mesh.surface_names[i] for i in mesh.surface_of_polygon.tolist()]
+    assert found == names[:254] + ["other"] * 46
+
+
+def test_lod_is_said_to_be_ignored_where_there_is_none(tmp_path):
+    (tmp_path / "a.obj").write_bytes(TRIANGLE)
+    mesh = read([tmp_path / "a.obj"], options=ReadOptions(lod="2"))
+    assert mesh.notes == (
+        "a.obj: this format (obj) states no levels of detail, so --lod 2 is ignored",
+    )
 
 
 @pytest.mark.parametrize(

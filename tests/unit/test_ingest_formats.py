@@ -478,58 +478,16 @@ def test_gltf_quantised_positions(tmp_path, component, dtype, normalized, unit):
     assert mesh.positions[:3].tolist() == [[0, 0, 0], [2, 0, 0], [2, 2 if low else 0, 2]]
 
 
-def with_features(points: list, ids: list[float], entry: dict | None, name: str) -> dict:
-    tree = gltf([{"mesh": 0}], points=points, indices=range(len(points)))
-    uri = "data:;base64," + base64.b64encode(np.array(ids, "<f4").tobytes()).decode()
-    tree["buffers"].append({"byteLength": 4 * len(ids), "uri": uri})
-    tree["bufferViews"].append({"buffer": 1, "byteLength": 4 * len(ids)})
-    tree["accessors"].append(
-        {"bufferView": 2, "componentType": 5126, "count": len(ids), "type": "SCALAR"}
-    )
-    primitive = tree["meshes"][0]["primitives"][0]
-    if name:
-        primitive["attributes"][name] = 2
-    if entry is not None:
-        primitive["extensions"] = {"EXT_mesh_features": {"featureIds": [entry]}}
-    return tree
-
-
-FEATURES = "holds {} objects as feature ids ({}), which are not read yet: each mesh is one object"
-
-
-@pytest.mark.parametrize(
-    ("ids", "entry", "name", "n_meshes", "note"),
-    [
-        ((0, 0, 0, 1, 1, 1), {"attribute": 0, "featureCount": 9}, "_FEATURE_ID_0", 1, 2),
-        ((0, 0, 0, 1, 1, 1), None, "_BATCHID", 1, 2),
-        ((0, 0, 0, 1, 1, 1), None, "_BATCHID", 2, 4),
-        ((0, 0, 0, 1, 1, 1), {"attribute": 1, "propertyTable": 0}, "_FEATURE_ID_1", 2, 2),
-        ((0, 0, 0, 1, 1, 1), {"attribute": 0, "nullFeatureId": 1}, "_FEATURE_ID_0", 1, None),
-        ((3, 3, 3, 3, 3, 3), None, "_FEATURE_ID_0", 2, None),
-        ((0,) * 6, {"featureCount": 5, "texture": {}}, "", 1, (5, "a texture")),
-        ((0,) * 6, {"featureCount": 6}, "", 1, (6, "one per vertex")),
-    ],
-)
-def test_gltf_feature_ids_are_noted(tmp_path, ids, entry, name, n_meshes, note):
-    points = [*POINTS[:3], *POINTS[1:]]
-    tree = with_features(points, list(ids), entry, name)
-    tree["meshes"] *= n_meshes
-    tree["nodes"] = [{"mesh": i} for i in range(n_meshes)]
-    tree["scenes"] = [{"nodes": list(range(n_meshes))}]
-    notes = read([write_gltf(tmp_path / "a.gltf", tree)]).notes
-    shown = (note, name) if isinstance(note, int) else note
-    assert notes[1:] == ((f"a.gltf: {FEATURES.format(*shown)}",) if shown else ())
-
-
 def test_gltf_notes_what_moves_its_vertices(tmp_path):
     tree = gltf([{"mesh": 0}, {"mesh": 0}], {"targets": [{"POSITION": 0}]})
     tree["scenes"] = [{"nodes": [0, 1]}]
     tree["extensionsRequired"] = ["CESIUM_RTC", "KHR_materials_unlit", "EXT_texture_webp"]
     tree["extensions"] = {"CESIUM_RTC": {"center": [1, 2, 3]}}
-    assert read([write_gltf(tmp_path / "a.gltf", tree)]).notes[1:] == (
-        "a.gltf: CESIUM_RTC is not applied: its center [1, 2, 3] is not added to positions",
+    mesh = read([write_gltf(tmp_path / "a.gltf", tree)])
+    assert mesh.notes[1:] == (
         "a.gltf: morph targets are not applied: 1 mesh with them read as without",
     )
+    assert mesh.positions[0].tolist() == [1, 2, 3]
 
 
 def changed(key: str, value: object) -> dict:
@@ -559,17 +517,16 @@ def changed(key: str, value: object) -> dict:
             "node 0 is placed by a transform that is not finite",
         ),
         (gltf([{"children": [0], "mesh": 0}]), "node 0 is reached twice"),
-        (gltf([{}]), "no triangles in any of 1 node"),
+        (gltf([{}]), "no triangles in it (y up was turned"),
         (gltf([{"mesh": 0}], {"mode": 0}), "1 point set left out"),
         (gltf([{"mesh": 7}]), "the glTF structure is damaged (IndexError"),
         (gltf([{"mesh": -1}]), "the glTF structure is damaged (ValueError: -1 is not an index"),
         (changed("accessors/0/count", 99), "accessor 0 reads past the end of its buffer"),
-        (changed("accessors/0/sparse", {}), "accessor 0 is sparse"),
+        (changed("accessors/0/sparse", {}), "damaged (KeyError: 'count')"),
         (changed("buffers/0/uri", "no.bin"), "no.bin cannot be read: No such file"),
         (changed("buffers/0/uri", "https://x/y.bin"), "download it first"),
         (changed("asset", {"version": "1.0"}), "glTF version 1.0; version 2 is read"),
-        (changed("extensionsUsed", ["KHR_draco_mesh_compression"]), "Draco-compressed"),
-        (changed("extensionsRequired", ["EXT_mesh_gpu_instancing"]), "it places meshes by"),
+        (changed("extensionsUsed", ["EXT_meshopt_compression"]), "meshopt-compressed"),
         (
             changed("extensionsRequired", ["KHR_materials_unlit", "FB_geometry", "MSFT_lod"]),
             "it requires FB_geometry, MSFT_lod, which is not read and may change its geometry",
@@ -602,7 +559,7 @@ def changed(key: str, value: object) -> dict:
         ),
         (
             gltf([{"mesh": 0, "scale": [1e308] * 3}], points=[(9, 9, 9), *POINTS]),
-            'object "M", primitive 0, placed by its nodes: vertex 0 is (inf, inf, inf)',
+            'object "M", primitive 0, placed by its nodes: vertex 0 is (inf, -inf, inf)',
         ),
         (gltf([{"mesh": 0, "rotation": [0, 0, 0, 0]}]), "placed by a transform that is not finite"),
         (gltf([{"mesh": 0, "matrix": [10**400] * 16}]), "damaged (OverflowError"),
@@ -671,11 +628,6 @@ def test_gltf_buffer_that_is_a_device(tmp_path):
 def test_shared_files(name, n_triangles, n_objects):
     mesh = read([shared(name)])
     assert (len(mesh.faces), len(mesh.object_names)) == (n_triangles, n_objects)
-
-
-def test_shared_feature_ids():
-    path = shared("cities/wageningen_7-624-528/content/1_0_0.glb")
-    assert read([path]).notes[1:] == (f"1_0_0.glb: {FEATURES.format(212, '_FEATURE_ID_0')}",)
 
 
 @pytest.mark.parametrize(

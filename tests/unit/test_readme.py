@@ -29,7 +29,8 @@ def run(line: str, folder: Path) -> str:
 def test_the_tour_prints_what_the_readme_shows(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "out").mkdir()
-    shutil.copy(ROOT / "data" / "small_city.obj.gz", tmp_path / "data")
+    for name in ("small_city.obj.gz", "hamlet.city.json"):
+        shutil.copy(ROOT / "data" / name, tmp_path / "data")
     tried = 0
     for block in [text for _, text in BLOCKS if text.startswith("$ ")]:
         shown: list[str] = []

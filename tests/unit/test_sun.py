@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svprep.errors import EnvironmentProblem, InputError
-from svprep.model import F64
+from svprep.model import F64, Place
 from svprep.sun import Site, grid_azimuth_deg, meridian_convergence_deg, place_of, sun_angles
 
 
@@ -241,3 +241,15 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pvlib", None)
     with pytest.raises(EnvironmentProblem, match="pip install pvlib"):
         sun_angles(0.0, 48.0, 16.0)
+
+
+def test_what_a_build_has_stored_is_taken_without_pyproj(monkeypatch: pytest.MonkeyPatch) -> None:
+    site = Site("EPSG:28992", 85_000.0, 447_000.0)
+    place = Place(site.crs, *place_of(site), meridian_convergence_deg(site))
+    stored = Site.of(place, site.x_m, site.y_m)
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    assert place_of(stored) == (place.latitude_deg, place.longitude_deg)
+    assert meridian_convergence_deg(stored) == place.convergence_deg
+    # Without the numbers, as a build without pyproj stores it, the CRS has to be asked.
+    with pytest.raises(EnvironmentProblem, match=r"svprep\[formats\]"):
+        meridian_convergence_deg(Site.of(Place("EPSG:28992"), site.x_m, 447_001.0))

@@ -1,0 +1,271 @@
+"""What ``svprep build`` and ``svprep info`` do with their options, and what they say of a city."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import typer
+
+from svprep import cli_clamp, pipeline, report
+from svprep.cache.reader import Cache, open_cache
+from svprep.clamp import ClampCosts
+from svprep.ingest.inputs import expanded
+from svprep.ingest.options import HIGHEST, ReadOptions, is_lod
+from svprep.model import Place, Prepared
+from svprep.warm import second_compiler
+
+Tell = Callable[[str, int, int], None]
+
+_MOST_NAMES: Final = 12
+_MOST_SOURCES: Final = 12
+_MOST_NOTES: Final = 25
+"""What people are shown at most; --json and --report list all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """The options of one build, each already known to be of its kind."""
+
+    inputs: Sequence[str]
+    output: str | None
+    config: pipeline.BuildConfig
+    lights: Sequence[str]
+    costs: ClampCosts | None
+    report: Path | None
+
+
+def config_of(
+    weld_tolerance_m: float,
+    lod: str,
+    objects: Sequence[str],
+    *,
+    has_terrain: bool,
+    has_openings: bool,
+) -> pipeline.BuildConfig:
+    """Return what a build is asked for.
+
+    Raises
+    ------
+    typer.BadParameter
+        A usage error: no distance, no level of detail, an empty type.
+    """
+    if not 0.0 <= weld_tolerance_m < float("inf"):
+        raise typer.BadParameter("--weld-tolerance is a distance in metres, 0 or more")
+    if not is_lod(lod):
+        raise typer.BadParameter(f'--lod is "{HIGHEST}" or a number such as 2 or 2.2, not "{lod}"')
+    if not all(name.strip() for name in objects):
+        raise typer.BadParameter("--objects names a type, such as Building")
+    reading = ReadOptions(lod, tuple(objects), has_terrain, has_openings)
+    return pipeline.BuildConfig(weld_tolerance_m, reading)
+
+
+def build(order: Order, tell: Tell) -> dict[str, Any]:
+    """Build a cache, write its report, and return what ``--json`` prints.
+
+    Raises
+    ------
+    typer.BadParameter
+        The report's name has no known suffix.
+    InputError, CacheError, EnvironmentProblem
+        As `pipeline.build`; or the report cannot be written there.
+    """
+    if order.report is not None:
+        if not report.REPORT.has_suffix(order.report):
+            raise typer.BadParameter(f"{order.report}: a report is .json or .csv; name it so")
+        cache = order.output or pipeline.default_cache_path(order.inputs)
+        report.REPORT.checked_path(order.report, [*expanded(order.inputs).paths, cache])
+    with second_compiler():
+        result = pipeline.build(
+            order.inputs,
+            order.output,
+            order.config,
+            lambda stage: tell(stage, pipeline.STAGES.index(stage), len(pipeline.STAGES)),
+            lights=order.lights,
+            costs=order.costs,
+        )
+    if order.report is not None:
+        report.write_report(result.prepared, order.report)
+    return {
+        "cache": str(result.cache.path),
+        "n_bytes": result.cache.n_bytes,
+        "content_digest": result.cache.content_digest,
+        **_content(result.prepared),
+        "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
+    }
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """Return what ``svprep info --json`` prints of a cache.
+
+    Raises
+    ------
+    CacheError
+        It is missing or damaged.
+    """
+    with open_cache(path) as cache:
+        return _cache_summary(cache)
+
+
+def _cache_summary(cache: Cache) -> dict[str, Any]:
+    prepared = cache.prepared()
+    return {
+        "cache": str(cache.path),
+        "n_bytes": cache.path.stat().st_size,
+        "content_digest": cache.content_digest,
+        "producer_version": cache.producer_version,
+        "config": prepared.config,
+        "crs": cache.crs,
+        "grid_origin_m": prepared.mesh.grid.origin_m.tolist(),
+        "planar_tolerance_m": prepared.planes.tolerance_m,
+        **_content(prepared),
+        "datasets": cache.dataset_sizes(),
+    }
+
+
+def _content(prepared: Prepared) -> dict[str, Any]:
+    """Return what `build` and `info` both say of a city."""
+    labels = prepared.labels
+    return {
+        "sources": [asdict(source) for source in prepared.sources],
+        "place": asdict(prepared.place),
+        "objects": len(prepared.object_names),
+        "object_types": report.type_counts(labels),
+        "objects_with_parent": sum(1 for parent in labels.object_parents if parent),
+        "faces_by_surface": report.surface_counts(labels.surface_of_face, labels),
+        "triangles_in": int(prepared.repair.source_triangles.sum()),
+        "faces": len(prepared.mesh.faces),
+        "vertices": len(prepared.mesh.positions),
+        "planes": len(prepared.planes.planes),
+        "edges": report.edge_counts(prepared.edges),
+        **report.component_counts(prepared.components.flags),
+        "index": report.index_counts(prepared.index),
+        "clusters": len(prepared.scene.cluster_start) - 1,
+        "lights": cli_clamp.light_facts(prepared.clamp, prepared.mesh.grid),
+        "grid_step_m": prepared.mesh.grid.step_m,
+        "extent_m": report.extent_m(prepared.mesh),
+        "left_out": len(report.left_out_faces(prepared)),
+        "turned": len(prepared.repair.flipped_faces),
+        "defects": report.total_counts(prepared.repair),
+        "notes": list(prepared.notes),
+    }
+
+
+def build_lines(summary: dict[str, Any]) -> list[str]:
+    """Return what `build` made as the lines that people read."""
+    n_sources = len(summary["sources"])
+    seconds = ", ".join(f"{name} {s:.2f}" for name, s in summary["seconds"].items())
+    return [
+        *([f"sources  {n_sources:,} files, {_megabytes(summary)}"] if n_sources > 1 else []),
+        *_content_lines(summary),
+        f"seconds  {sum(summary['seconds'].values()):.2f} ({seconds})",
+        f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)",
+    ]
+
+
+def _megabytes(summary: dict[str, Any]) -> str:
+    return f"{sum(source['n_bytes'] for source in summary['sources']) / 1e6:.1f} MB"
+
+
+def info_lines(summary: dict[str, Any]) -> list[str]:
+    """Return what a cache holds as the lines that people read."""
+    lines = [
+        f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)",
+        f"digest   {summary['content_digest']}",
+        f"made by  svprep {summary['producer_version']}, {json.dumps(summary['config'])}",
+    ]
+    sources = summary["sources"]
+    for source in sources[:_MOST_SOURCES]:
+        crs = f", CRS {source['crs']}" if source["crs"] else ""
+        lines.append(
+            f"source   {source['path']} ({source['format']}, {source['n_bytes']:,} bytes, "
+            f"SHA-256 {source['sha256'][:16]}...{crs})"
+        )
+    if len(sources) > _MOST_SOURCES:
+        lines.append(
+            f"source   ... and {len(sources) - _MOST_SOURCES:,} more, {_megabytes(summary)} in "
+            "all; --json lists them"
+        )
+    x, y, z = summary["grid_origin_m"]
+    lines.append(f"origin   ({x:.3f}, {y:.3f}, {z:.3f}) m")
+    lines += _content_lines(summary)
+    lines += [f"bytes    {size:>13,}  {name}" for name, size in summary["datasets"].items()]
+    return lines
+
+
+def _content_lines(summary: dict[str, Any]) -> list[str]:
+    """Return what `build` and `info` both say."""
+    edges, index = summary["edges"], summary["index"]
+    n_edges = edges["pair"] + edges["border"] + edges["split"]
+    x, y, z = summary["extent_m"]
+    notes = summary["notes"]
+    lines = [
+        f"mesh     {summary['objects']:,} objects, {summary['faces']:,} faces "
+        f"(of {summary['triangles_in']:,} triangles read), {summary['vertices']:,} vertices, "
+        f"{summary['planes']:,} planes",
+        *_label_lines(summary),
+        f"edges    {n_edges:,} records: {edges['pair']:,} pairs, {edges['border']:,} border, "
+        f"{edges['split']:,} split; {edges['planar']:,} planar",
+        f"parts    {summary['components']:,} components, {summary['closed']:,} closed, "
+        f"{summary['solid']:,} solid",
+        f"index    {index['objects']:,} objects have silhouette trees, over {index['edges']:,} "
+        f"edges ({index['n_bytes'] / 1e6:.1f} MB)",
+        f"extent   {x:,.2f} x {y:,.2f} x {z:,.2f} m (east, north, up)",
+        *_place_lines(Place(**summary["place"])),
+        f"grid     {summary['grid_step_m']:g} m; {summary['clusters']:,} clusters of faces",
+        f"repair   {summary['left_out']:,} faces left out (no area on the grid, duplicates, "
+        f"no surface), {summary['turned']:,} turned; all listed by --report",
+    ]
+    lines += [f"found    {count:>10,}  {label}" for label, count in summary["defects"].items()]
+    lines += [f"note     {note}" for note in notes[:_MOST_NOTES]]
+    if len(notes) > _MOST_NOTES:
+        lines.append(f"note     ... and {len(notes) - _MOST_NOTES:,} more; --json lists them")
+    return lines + cli_clamp.light_lines(summary["lights"])
+
+
+def _label_lines(summary: dict[str, Any]) -> list[str]:
+    """Return what the files say of objects and faces, if they say anything."""
+    lines = []
+    n_parts = summary["objects_with_parent"]
+    of_others = f"; {n_parts:,} are parts of others" if n_parts else ""
+    if summary["object_types"]:
+        lines.append(f"types    {_counts(summary['object_types'])}{of_others}")
+    elif n_parts:
+        lines.append(f"types    not stated{of_others}")
+    if summary["faces_by_surface"]:
+        lines.append(f"surfaces {_counts(summary['faces_by_surface'])}")
+    return lines
+
+
+def _counts(counts: dict[str, int]) -> str:
+    """Return ``"Building 1,200, not stated 3"``."""
+    named = [f"{name or 'not stated'} {n:,}" for name, n in counts.items()]
+    more = [f"... ({len(named)} kinds)"] if len(named) > _MOST_NAMES else []
+    return ", ".join(named[:_MOST_NAMES] + more)
+
+
+def _place_lines(place: Place) -> list[str]:
+    """Return where on Earth the model stands, as far as that is known."""
+    if not place.crs:
+        return ["place    no CRS is stated; +y is taken for north"]
+    line = f"place    {crs_name(place.crs)}"
+    if place.latitude_deg is not None and place.longitude_deg is not None:
+        line += (
+            f"; {abs(place.latitude_deg):.5f} {'SN'[place.latitude_deg >= 0.0]} "
+            f"{abs(place.longitude_deg):.5f} {'WE'[place.longitude_deg >= 0.0]}"
+        )
+    if place.convergence_deg is None:
+        return [f"{line}; true north is not known"]
+    side = "west" if place.convergence_deg < 0.0 else "east"
+    angle = abs(np.round(place.convergence_deg, 4))
+    return [f"{line}; grid north is {angle:g} degrees {side} of true north"]
+
+
+def crs_name(crs: str) -> str:
+    """Return a CRS as people are shown it: WKT by its name alone."""
+    is_wkt = "[" in crs and crs.count('"') >= 2
+    return crs.split('"')[1] if is_wkt else crs
