@@ -99,8 +99,18 @@ def build(
     ] = None,
     no_terrain: Annotated[bool, typer.Option("--no-terrain", help="Leave terrain out.")] = False,
     no_openings: Annotated[
-        bool, typer.Option("--no-openings", help="Leave windows and doors out.")
+        bool,
+        typer.Option(
+            "--no-openings", help="Leave windows and doors out; walls keep holes in their places."
+        ),
     ] = False,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CRS",
+            help="Of files that state none, or one that is unknown; such as EPSG:28992.",
+        ),
+    ] = None,
     light: LightsOption = None,
     cost_vertex: CostVertexOption = None,
     cost_area: CostAreaOption = None,
@@ -121,6 +131,7 @@ def build(
         objects or [],
         has_terrain=not no_terrain,
         has_openings=not no_openings,
+        crs=crs,
     )
     costs = cli_clamp.costs_of(cost_vertex, cost_area)
     order = cli_build.Order(inputs, output, config, light or [], costs, report)

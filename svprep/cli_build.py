@@ -14,6 +14,8 @@ import typer
 from svprep import cli_clamp, pipeline, report
 from svprep.cache.reader import Cache, open_cache
 from svprep.clamp import ClampCosts
+from svprep.cli_messages import crs_name
+from svprep.ingest.crs_names import is_place_on_earth
 from svprep.ingest.inputs import expanded
 from svprep.ingest.options import HIGHEST, ReadOptions, is_lod
 from svprep.model import Place, Prepared
@@ -46,13 +48,16 @@ def config_of(
     *,
     has_terrain: bool,
     has_openings: bool,
+    crs: str | None = None,
 ) -> pipeline.BuildConfig:
     """Return what a build is asked for.
 
     Raises
     ------
     typer.BadParameter
-        A usage error: no distance, no level of detail, an empty type.
+        A usage error: no distance, no level of detail, an empty type, an unknown CRS.
+    EnvironmentProblem
+        A CRS, and pyproj is missing.
     """
     if not 0.0 <= weld_tolerance_m < float("inf"):
         raise typer.BadParameter("--weld-tolerance is a distance in metres, 0 or more")
@@ -60,7 +65,9 @@ def config_of(
         raise typer.BadParameter(f'--lod is "{HIGHEST}" or a number such as 2 or 2.2, not "{lod}"')
     if not all(name.strip() for name in objects):
         raise typer.BadParameter("--objects names a type, such as Building")
-    reading = ReadOptions(lod, tuple(objects), has_terrain, has_openings)
+    if crs is not None and not is_place_on_earth(crs):
+        raise typer.BadParameter(f'--crs is one that pyproj knows, such as EPSG:28992, not "{crs}"')
+    reading = ReadOptions(lod, tuple(objects), has_terrain, has_openings, crs or "")
     return pipeline.BuildConfig(weld_tolerance_m, reading)
 
 
@@ -180,7 +187,7 @@ def info_lines(summary: dict[str, Any]) -> list[str]:
     ]
     sources = summary["sources"]
     for source in sources[:_MOST_SOURCES]:
-        crs = f", CRS {source['crs']}" if source["crs"] else ""
+        crs = f", CRS {crs_name(source['crs'])}" if source["crs"] else ""
         lines.append(
             f"source   {source['path']} ({source['format']}, {source['n_bytes']:,} bytes, "
             f"SHA-256 {source['sha256'][:16]}...{crs})"
@@ -263,9 +270,3 @@ def _place_lines(place: Place) -> list[str]:
     side = "west" if place.convergence_deg < 0.0 else "east"
     angle = abs(np.round(place.convergence_deg, 4))
     return [f"{line}; grid north is {angle:g} degrees {side} of true north"]
-
-
-def crs_name(crs: str) -> str:
-    """Return a CRS as people are shown it: WKT by its name alone."""
-    is_wkt = "[" in crs and crs.count('"') >= 2
-    return crs.split('"')[1] if is_wkt else crs

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from svprep.cache.reader import open_cache
+from svprep.cli_messages import crs_name
 from svprep.export.city import City, city_of, has_grid_of_a_build
-from svprep.export.cityjson import family_of, n_retyped
+from svprep.export.cityjson import family_of, n_retyped, n_untyped, reference_system
 from svprep.export.obj import written_names
 from svprep.export.output import checked_export_path, export_format, write_export
 
@@ -44,6 +45,7 @@ def run(cache: Path, output: str) -> dict[str, Any]:
         "crs": city.crs,
         "renamed": _n_renamed(city, form.name),
         "retyped": n_retyped(city) if form.name == "cityjson" else 0,
+        "untyped": n_untyped(city) if form.name == "cityjson" else 0,
         "empty_objects": int(np.count_nonzero(~city.has_faces)),
         "unused_vertices": int(np.count_nonzero(~city.is_used)),
         "not_kept": _not_kept(city, form.name, form.not_kept),
@@ -66,7 +68,7 @@ def _n_renamed(city: City, form: str) -> int:
 def _not_kept(city: City, form: str, lost: tuple[str, ...]) -> list[str]:
     """Return what the cache holds and this file does not."""
     found = list(lost) if city.surface_of_face.any() else []
-    if city.crs and form == "cityjson" and not city.crs.upper().startswith("EPSG:"):
+    if city.crs and form == "cityjson" and not reference_system(city.crs):
         found.append("crs")
     return found
 
@@ -80,10 +82,11 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
         f"{summary['vertices']:,} vertices",
     ]
     if summary["crs"]:
-        lines.append(f"crs      {summary['crs']}")
+        lines.append(f"crs      {crs_name(summary['crs'])}")
     notes = [
         (summary["renamed"], "objects under another name than their own, which the format forbids"),
         (summary["retyped"], "objects as GenericCityObject, their type as an attribute"),
+        (summary["untyped"], "objects without a type written as GenericCityObject"),
         (summary["empty_objects"], "objects without faces: named, but nothing to draw"),
         (summary["unused_vertices"], "vertices that no face uses"),
     ]

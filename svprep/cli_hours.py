@@ -171,9 +171,11 @@ def _stated(facts: dict[str, Any]) -> list[str]:
     n = facts["samples whose kind the files state"]
     if not n:
         return []
+    n_doubted = facts["samples on level faces of files that call every face a wall, by geometry"]
+    doubted = f", {n_doubted:,} of them level though named walls, as all is" if n_doubted else ""
     return [
         f"kinds    of {n:,} samples as the files name their surfaces, of "
-        f"{facts['samples'] - n:,} by geometry"
+        f"{facts['samples'] - n:,} by geometry{doubted}"
     ]
 
 

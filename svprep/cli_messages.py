@@ -14,6 +14,12 @@ from typing import Any
 from svprep import __version__
 
 
+def crs_name(crs: str) -> str:
+    """Return a CRS as people are shown it: WKT by its name alone."""
+    is_wkt = "[" in crs and crs.count('"') >= 2
+    return crs.split('"')[1] if is_wkt else crs
+
+
 def show(summary: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
     """Print a summary: one JSON object, or lines for people."""
     if as_json:

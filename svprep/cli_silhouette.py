@@ -138,6 +138,8 @@ def objects_named(cache: Cache, names: tuple[str, ...]) -> I64:
         folded = [k for k in known if k.casefold() == name.casefold()]
         close = list(dict.fromkeys(folded + get_close_matches(name, known, n=3)))[:3]
         hint = f"close to it: {', '.join(map(repr, close))}" if close else "none comes close"
+        if name.casefold() in {each.casefold() for each in cache.labels.object_types}:
+            hint = "it is a type, and --objects asks for names here, for types in svprep build"
         raise InputError(
             f'no object "{name}" among the {cache.n_objects:,} of {cache.path}; {hint}. '
             "All names: svprep build SOURCE --report FILE.csv, or "

@@ -180,7 +180,8 @@ class Mesh:
 
     grid: Grid
     positions: F32
-    """``(n_vertices, 3)`` [m] in the cache frame, exact multiples of the step."""
+    """``(n_vertices, 3)`` [m] in the cache frame, exact multiples of the step. A build
+    numbers vertices in the order in which its faces use them."""
     faces: U32
     """``(n_faces, 3)``, indices into `positions`, none with a repeated corner
     or zero area."""

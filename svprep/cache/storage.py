@@ -78,6 +78,8 @@ def _options_of(config: Mapping[str, Any]) -> list[str]:
         words += ["--objects", shlex.quote(str(name))]
     words += [] if config.get("terrain", True) else ["--no-terrain"]
     words += [] if config.get("openings", True) else ["--no-openings"]
+    if "crs" in config:
+        words += ["--crs", shlex.quote(str(config["crs"]))]
     return words
 
 

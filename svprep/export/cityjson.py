@@ -5,7 +5,7 @@ are the integers that positions are multiples by, and equal ones are written onc
 of one solid component is a Solid, any other a MultiSurface, of triangles. A parent that has
 no faces is a CityObject without geometry. Ids are unique in a file: the second object of a
 name gets ``~2``. What CityJSON has no type for becomes a GenericCityObject, and its type an
-attribute.
+attribute; what has no type becomes one too, without that attribute.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from svprep.export.city import City, distinct
 from svprep.model import I32, I64
 
 HEAD: Final = b'{"type":"CityJSON","version":"2.0","metadata":{"title":"svprep export'
-_EPSG: Final = re.compile(r"EPSG:([0-9]+)", re.IGNORECASE)
+_EPSG: Final = re.compile(r"EPSG:([0-9]+)(?:\+([0-9]+))?", re.IGNORECASE)
+_CRS_URL: Final = "https://www.opengis.net/def/crs"
 _GENERIC: Final = "GenericCityObject"
 _ROOTS: Final = ("Building", "Bridge", "Tunnel")
 _BELOW: Final = {
@@ -102,6 +103,24 @@ def n_retyped(city: City) -> int:
     return sum(bool(kind) and not _is_known(kind) for kind in city.types)
 
 
+def n_untyped(city: City) -> int:
+    """Return how many objects have no type; in CityJSON each has one."""
+    return city.types.count("")
+
+
+def reference_system(crs: str) -> str:
+    """Return the URL of a CRS, ``""`` for one that has none: WKT, a local frame.
+
+    A compound one, ``"EPSG:31468+5783"``, is ``.../crs-compound?1=...&2=...``, unescaped as
+    OGC writes it; `svprep.ingest.crs_names` reads both.
+    """
+    found = _EPSG.fullmatch(crs)
+    if not found:
+        return ""
+    plane, height = (code and f"{_CRS_URL}/EPSG/0/{code}" for code in found.groups())
+    return f"{_CRS_URL}-compound?1={plane}&2={height}" if height else plane
+
+
 def _is_known(kind: str) -> bool:
     return kind in TYPES or kind.startswith("+")
 
@@ -154,8 +173,7 @@ def _dump(value: object) -> str:
 def _metadata(city: City) -> str:
     """Return the members behind the title, with a comma before each."""
     members = ""
-    if code := _EPSG.fullmatch(city.crs):
-        url = f"https://www.opengis.net/def/crs/EPSG/0/{code[1]}"
+    if url := reference_system(city.crs):
         members += f',"referenceSystem":{_dump(url)}'
     if len(city.positions):
         points = city.source_positions

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +19,7 @@ from svprep.hours.scene import RayStarts
 from svprep.hours.surfaces import Surfaces, surfaces_of
 from svprep.hours.tracing import Suns, lit_bits, runs
 from svprep.model import F64, U32, Prepared
+from svprep.path_names import told_apart
 from svprep.rays import Scene, displaced, offset_m, require_embree
 from svprep.silhouette.tables import check_mesh, check_plane_of_face
 
@@ -96,8 +96,8 @@ def sun_hours(
 
 
 def _source_names(cache: Cache | Prepared) -> tuple[str, ...]:
-    """Return the name of the file of each object."""
-    names = [Path(source.path).name for source in cache.sources]
+    """Return the name of the file of each object, by which files can be told apart."""
+    names = told_apart([source.path for source in cache.sources])
     return tuple(names[i] for i in cache.object_source.tolist())
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from svprep import __version__
 from svprep.hours.buried import Burial
-from svprep.hours.semantics import STATED_RULES
+from svprep.hours.scene import component_of_faces
+from svprep.hours.semantics import STATED_RULES, doubted_walls
 from svprep.hours.surfaces import RULES, SIDES
+from svprep.path_names import told_apart
 from svprep.report import extent_m, total_counts
 from svprep.sun import sun_angles
 
@@ -70,6 +71,9 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
         "kinds as the files name surfaces": STATED_RULES,
         "kinds by geometry": RULES,
         "samples whose kind the files state": _count(hours.is_stated),
+        "samples on level faces of files that call every face a wall, by geometry": _count(
+            _doubted(hours, cache)
+        ),
         "sunlit": (
             "the sun is strictly in front of the face and the segment to its centre meets no face; "
             "each lit step counts step minutes"
@@ -78,9 +82,17 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
     }
 
 
+def _doubted(hours: SunHours, cache: Cache) -> BOOL:
+    """Return ``(n_samples,)``: whether each lies on a face that is no wall though named one."""
+    source = cache.object_source[component_of_faces(cache.mesh.object_face_start)]
+    is_doubted = doubted_walls(cache.labels, source, hours.face_normal[:, 2])
+    return np.asarray(is_doubted[hours.face])
+
+
 def _sources(cache: Cache) -> list[str]:
     """Return the files by name and digest; of very many the first, and how many there are."""
-    named = [f"{Path(s.path).name} SHA-256 {s.sha256}" for s in cache.sources[:_MOST_SOURCES]]
+    names = told_apart([source.path for source in cache.sources])[:_MOST_SOURCES]
+    named = [f"{name} SHA-256 {s.sha256}" for name, s in zip(names, cache.sources, strict=False)]
     n_more = len(cache.sources) - len(named)
     return [*named, f"and {n_more} more, which the cache lists"] if n_more else named
 

@@ -3,7 +3,8 @@
     the file's word                              kind
     -----------------------------------------    ------------------------------------------
     RoofSurface, OuterFloorSurface               roof; underside where it looks down (|nz| >= 0.5)
-    WallSurface                                  wall, however level
+    WallSurface                                  wall, however level; but of a file that calls
+                                                 every face so, level ones by geometry
     GroundSurface, OuterCeilingSurface           underside; of an open shell the lower side
                                                  counts. One of a closed shell that looks up:
                                                  by geometry
@@ -24,7 +25,7 @@ from typing import Final
 import numpy as np
 
 from svprep.hours.kinds import LEVEL, Kind
-from svprep.model import BOOL, F64, I64, U8, Labels
+from svprep.model import BOOL, F64, I64, U8, U32, Labels
 
 UNSTATED: Final = 255
 """In place of a `Kind`: geometry decides."""
@@ -57,7 +58,8 @@ _LAND_TYPES: Final = frozenset(
 )
 
 STATED_RULES: Final = (
-    "RoofSurface and OuterFloorSurface: roof; WallSurface: wall; GroundSurface and "
+    "RoofSurface and OuterFloorSurface: roof; WallSurface: wall, but level ones by "
+    "geometry in a file that calls every face so; GroundSurface and "
     "OuterCeilingSurface: underside; Window and Door: wall, level ones roof; objects that are "
     "terrain, roads, water or land: ground where they look up; others: by geometry"
 )
@@ -89,6 +91,26 @@ def stated_kinds(labels: Labels, object_of_face: I64, nz: F64) -> U8:
         is_land |= is_land_type[object_of_face]
     kind[is_land & (kind == UNSTATED) & (nz > _UPWARD)] = Kind.GROUND
     return kind
+
+
+def doubted_walls(labels: Labels, source_of_face: U32, nz: F64) -> BOOL:
+    """Return ``(n_faces,)``: whether each is level, in a file that calls every face a wall.
+
+    Such a file (early converters wrote them) says nothing by it.
+
+    Parameters
+    ----------
+    source_of_face : (n_faces,) uint32
+        Number of the file.
+    nz : (n_faces,) float64
+        Of the unit normal of the side that counts.
+    """
+    is_wall = _named(labels, _WALLS)
+    if not is_wall.any():
+        return is_wall
+    is_all = np.bincount(source_of_face[is_wall], minlength=1 + source_of_face.max())
+    is_all = is_all == np.bincount(source_of_face)
+    return np.asarray(is_all[source_of_face] & (np.abs(nz) >= LEVEL))
 
 
 def is_bottom(labels: Labels) -> BOOL:

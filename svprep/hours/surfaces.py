@@ -45,7 +45,7 @@ import numpy as np
 from svprep.cache.reader import Cache
 from svprep.hours.kinds import LEVEL, Kind
 from svprep.hours.scene import component_of_faces
-from svprep.hours.semantics import UNSTATED, is_bottom, stated_kinds
+from svprep.hours.semantics import UNSTATED, doubted_walls, is_bottom, stated_kinds
 from svprep.hours.spread import points_in_faces
 from svprep.model import BOOL, F64, I8, I64, U8, ComponentFlag, Mesh, Prepared
 from svprep.rays import RAYS_AT_ONCE, Scene, displaced, for_batches
@@ -150,6 +150,8 @@ def surfaces_of(cache: Cache | Prepared, scene: Scene, offset_m: float) -> Surfa
     side = _sides(shape, is_bottom(cache.labels))
     counted = shape.unit * side[:, None]
     stated = stated_kinds(cache.labels, shape.object, counted[:, 2])
+    source = cache.object_source[shape.object]
+    stated[doubted_walls(cache.labels, source, counted[:, 2])] = UNSTATED
     is_stated = stated != UNSTATED
     return Surfaces(
         normal=counted,

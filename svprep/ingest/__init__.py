@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from svprep.errors import InputError
+from svprep.ingest.crs_given import with_crs_given
+from svprep.ingest.doubts import on_distance, on_lonely_tile
 from svprep.ingest.file_bytes import check_file, read_file
 from svprep.ingest.filters import filtered
 from svprep.ingest.inputs import TILESET, expanded, is_tileset, suffix_of_model
@@ -22,6 +24,7 @@ from svprep.ingest.notes import merged_notes
 from svprep.ingest.options import HIGHEST, ReadOptions
 from svprep.ingest.parsed import ParsedFile, Report, encodable
 from svprep.model import U8, FaceFindings, Place, SourceFile, SourceMesh
+from svprep.path_names import told_apart
 
 Progress = Callable[[int, int], None]
 """Told the bytes that are read and the bytes of all input files."""
@@ -173,9 +176,10 @@ def read(
             inputs.paths, formats, sizes, digests, parsed, strict=True
         )
     ]
-    parsed = [_lod_noted(p, source, options) for p, source in zip(parsed, sources, strict=True)]
+    parsed = [_noted(p, source, options) for p, source in zip(parsed, sources, strict=True)]
     parsed, place = _in_one_frame(filtered(parsed, files, options), files)
-    return replace(_concatenate(parsed, sources, inputs.notes), place=place)
+    notes = (*inputs.notes, *on_distance(parsed, told_apart(inputs.paths)))
+    return replace(_concatenate(parsed, sources, notes), place=place)
 
 
 def _in_one_frame(parsed: list[ParsedFile], files: list[Path]) -> tuple[list[ParsedFile], Place]:
@@ -187,13 +191,15 @@ def _in_one_frame(parsed: list[ParsedFile], files: list[Path]) -> tuple[list[Par
     return in_one_frame(parsed, files)
 
 
-def _lod_noted(parsed: ParsedFile, source: SourceFile, options: ReadOptions) -> ParsedFile:
-    """Say where ``--lod`` has no meaning."""
-    if options.lod == HIGHEST or source.format in _HAVE_LODS:
-        return parsed
-    format_name, lod = source.format, options.lod
-    note = f"this format ({format_name}) states no levels of detail, so --lod {lod} is ignored"
-    return replace(parsed, notes=(*parsed.notes, note))
+def _noted(parsed: ParsedFile, source: SourceFile, options: ReadOptions) -> ParsedFile:
+    """Return a file with the CRS that counts; say where options or its place have no meaning."""
+    notes = list(on_lonely_tile(Path(source.path), source.format))
+    if options.lod != HIGHEST and source.format not in _HAVE_LODS:
+        format_name, lod = source.format, options.lod
+        notes.append(
+            f"this format ({format_name}) states no levels of detail, so --lod {lod} is ignored"
+        )
+    return with_crs_given(replace(parsed, notes=(*parsed.notes, *notes)), options.crs)
 
 
 def _n_threads() -> int:
@@ -226,6 +232,8 @@ def _format_of(path: Path) -> tuple[str, _Reader]:
         problem = f"{_NOT_YET[suffix]} ({suffix}) is not read yet"
     elif suffix:
         problem = f'no reader for the suffix "{suffix}"'
+    elif not os.path.lexists(path):
+        raise InputError(f"{path}: there is no such file.")
     else:
         problem = "no suffix, so the format is unknown"
     raise InputError(f"{path}: {problem}. Known: {known}, each also with .gz behind it.")
@@ -294,8 +302,8 @@ def _concatenate(
         notes=(
             *map(encodable, notes),
             *merged_notes(
-                (Path(source.path).name, note)
-                for p, source in zip(parsed, sources, strict=True)
+                (name, note)
+                for p, name in zip(parsed, told_apart([s.path for s in sources]), strict=True)
                 for note in p.notes
             ),
         ),

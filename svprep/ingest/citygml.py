@@ -26,19 +26,20 @@ from typing import Final
 
 import numpy as np
 
-from svprep.errors import InputError
+from svprep.errors import InputError, first_few
 from svprep.ingest.citygml_events import read_events
 from svprep.ingest.citygml_links import Uses, resolve
 from svprep.ingest.citygml_log import FAR_TEMPLATE, LOOSE_RING, LOOSE_TEMPLATE, REPEATED_ID, CityLog
 from svprep.ingest.citygml_names import LINE_RELIEF
 from svprep.ingest.citygml_surfaces import Polygons, gather
+from svprep.ingest.crs_given import crs_in_use
 from svprep.ingest.crs_names import proportional
 from svprep.ingest.holes import triangulate_rings
-from svprep.ingest.lod import choose_lods
-from svprep.ingest.options import ReadOptions
+from svprep.ingest.lod import choose_lods, number_of
+from svprep.ingest.options import HIGHEST, ReadOptions
 from svprep.ingest.parsed import ParsedFile, Report, count_of, shown
 from svprep.ingest.triangulation import Triangulation
-from svprep.model import BOOL, U8, FaceFindings
+from svprep.model import BOOL, F64, I64, U8, FaceFindings
 
 _MOST_NAMES: Final = 256
 _OTHER: Final = "other"
@@ -64,7 +65,7 @@ def read_citygml(
     report
         Told the fraction that is done.
     options
-        Of which `lod` is used.
+        Of which `lod` and `crs` are used.
 
     Raises
     ------
@@ -85,9 +86,9 @@ def read_citygml(
             f"{path}: no surface of any of {count_of(len(names), 'city object')}, so "
             f"nothing that casts a shadow{detail}."
         )
-    polygons = gather(log, uses, path)
+    polygons = gather(log, uses, path, options.crs)
     surfaces = triangulate_rings(
-        proportional(polygons.positions, polygons.crs),
+        proportional(polygons.positions, crs_in_use(polygons.crs, options.crs)),
         polygons.corners,
         polygons.ring_start,
         polygons.polygon_start,
@@ -121,7 +122,48 @@ def _choose(
         of_object[pair // len(levels)].append(levels[pair % len(levels)])
     choice = choose_lods(log.object_parents, log.object_types, of_object, lod, path)
     chosen = np.array([-1 if name is None else log.lods[name] for name in choice.lods], np.int64)
-    return _taken(uses, uses.lod == chosen[uses.object_index]), choice.notes(names, lod)
+    is_taken = uses.lod == chosen[uses.object_index]
+    notes = choice.notes(names, lod)
+    if lod == HIGHEST and len(levels) > 1:
+        is_added = _of_lacking_kinds(uses, chosen, np.array([number_of(name) for name in levels]))
+        if is_added.any():
+            n = count_of(int(is_added.sum()), "polygon")
+            owners = np.unique(uses.object_index[is_added]).tolist()
+            some = first_few((shown(names[i]) for i in owners), 3)
+            notes += (
+                f"{n} of a lower LoD taken for {count_of(len(owners), 'object')} without surfaces "
+                f"of their kind at the highest: {some}",
+            )
+            is_taken |= is_added
+    return _taken(uses, is_taken), notes
+
+
+def _of_lacking_kinds(uses: Uses, chosen: I64, level: F64) -> BOOL:
+    """Return the uses that their object needs besides those of its chosen level.
+
+    Each surface of a building has levels of its own: windows at LoD 3 may stand in walls at
+    LoD 2. A kind of surface that an object lacks at its level, which names all its surfaces,
+    is taken from its highest lower level.
+
+    Parameters
+    ----------
+    chosen : (n_objects,) int64
+        Index of each object's level, -1 for none.
+    level : (n_levels,) float64
+        Each level as a number.
+    """
+    n_kinds = int(uses.surface.max()) + 1
+    key = uses.object_index * n_kinds + uses.surface
+    own = chosen[uses.object_index]
+    is_own = uses.lod == own
+    is_unnamed = np.zeros(len(chosen), bool)
+    is_unnamed[uses.object_index[is_own & (uses.surface == 0)]] = True
+    of_use = level[uses.lod]
+    is_wanted = (own >= 0) & (uses.surface != 0) & (of_use >= 1) & (of_use < level[own])
+    is_wanted &= ~is_unnamed[uses.object_index] & ~np.isin(key, key[is_own])
+    highest = np.zeros(len(chosen) * n_kinds)
+    np.maximum.at(highest, key[is_wanted], of_use[is_wanted])
+    return is_wanted & (of_use == highest[key])
 
 
 def _taken(uses: Uses, is_kept: BOOL) -> Uses:

@@ -12,6 +12,7 @@ from svprep.errors import InputError
 from svprep.ingest.citygml_links import NO_PLACEMENT, Uses
 from svprep.ingest.citygml_log import CityLog, column
 from svprep.ingest.citygml_places import is_mirroring, matrices, place, reference_points
+from svprep.ingest.crs_given import crs_in_use
 from svprep.ingest.crs_names import crs_of, has_pyproj, is_north_first, needs_swap, normalised_crs
 from svprep.ingest.parsed import count_of, refuse_non_finite, shown
 from svprep.model import BOOL, F64, I64, U32, U64
@@ -29,11 +30,14 @@ class Polygons:
     ring_start: I64
     polygon_start: I64
     crs: str
+    """As the file states it."""
     notes: tuple[str, ...]
 
 
-def gather(log: CityLog, uses: Uses, path: Path) -> Polygons:
+def gather(log: CityLog, uses: Uses, path: Path, given_crs: str = "") -> Polygons:
     """Return the polygons that are used, at their places.
+
+    `given_crs` counts where the file states no CRS that is known.
 
     Raises
     ------
@@ -65,7 +69,8 @@ def gather(log: CityLog, uses: Uses, path: Path) -> Polygons:
     points = points[rows]
     placement = np.repeat(np.repeat(uses.placement, rings_of_use), kept)
     crs = _only_crs(log, uses, path)
-    points, notes = _at_their_places(log, points, placement, found, crs, path)
+    in_use = crs_in_use(crs, given_crs)
+    points, notes = _at_their_places(log, points, placement, found, in_use, path)
     refuse_non_finite(points, path, "implicit geometry, placed")
     n_open = int(np.count_nonzero(~is_closed[ring] & (size[ring] >= 3)))
     if n_open:

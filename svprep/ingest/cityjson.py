@@ -33,6 +33,7 @@ from svprep.ingest.cityjson_geometry import NO_SURFACE, MalformedError
 from svprep.ingest.cityjson_objects import Objects, lod_of
 from svprep.ingest.cityjson_polygons import Polygons, chosen_polygons
 from svprep.ingest.cityjson_text import Span, Text
+from svprep.ingest.crs_given import crs_in_use
 from svprep.ingest.crs_names import crs_of, has_pyproj, needs_swap, normalised_crs, proportional
 from svprep.ingest.holes import triangulate_rings
 from svprep.ingest.lod import choose_lods
@@ -60,7 +61,7 @@ def read_cityjson(
     report
         Told the fraction that is done.
     options
-        `lod` is honoured; types and surfaces are filtered by `svprep.ingest.filters`.
+        `lod` and `crs` are honoured; types and surfaces are filtered by `svprep.ingest.filters`.
 
     Raises
     ------
@@ -267,9 +268,10 @@ def _parsed(reading: _Reading, positions: F64, options: ReadOptions) -> ParsedFi
             f"{path}: no surface in {n}, so nothing that casts a shadow"
             + (f" ({'; '.join(notes)})." if notes else ".")
         )
-    positions, swapped = _east_first(positions, polygons, reading.crs)
+    crs = crs_in_use(reading.crs, options.crs)
+    positions, swapped = _east_first(positions, polygons, crs)
     faces, source_face, finding = triangulate_rings(
-        proportional(positions, reading.crs),
+        proportional(positions, crs),
         polygons.corners,
         polygons.ring_start,
         polygons.polygon_start,

@@ -293,6 +293,20 @@ def crs_of(text: str) -> CRS | None:
     return None
 
 
+def is_place_on_earth(text: str) -> bool:
+    """Whether a text names a CRS that says where on Earth something is.
+
+    Raises
+    ------
+    EnvironmentProblem
+        pyproj is missing.
+    """
+    if not has_pyproj():
+        raise require_extra("pyproj", "formats", f'the CRS "{text[:80]}"')
+    crs = crs_of(text)
+    return crs is not None and (crs.is_projected or crs.is_geographic or crs.is_geocentric)
+
+
 @lru_cache(maxsize=64)
 def horizontal(crs: CRS) -> CRS:
     """Return `crs` without heights."""

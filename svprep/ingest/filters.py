@@ -29,6 +29,7 @@ FAMILIES: Final = {
 OPENINGS: Final = frozenset({"window", "door", "windowsurface", "doorsurface"})
 """Names of surfaces that ``--no-openings`` leaves out: CityGML 1 and 2, CityJSON; CityGML 3."""
 _NOT_STATED: Final = "not stated"
+_HOLES: Final = ": walls keep holes where these stood, and light falls through"
 
 
 def is_of_type(stated: str, wanted: str) -> bool:
@@ -59,7 +60,8 @@ def filtered(
         return list(parsed)
     if options.objects:
         _check_types(parsed, paths, options.objects)
-    left = [_filtered_file(p, options) for p in parsed]
+    has_terrain = any(is_terrain(t) for t in {t for p in parsed for t in _types_of(p)})
+    left = [_filtered_file(p, options, has_terrain) for p in parsed]
     if not any(len(p.faces) for p in left) and any(len(p.faces) for p in parsed):
         n = sum(len(p.object_names) for p in parsed)
         raise InputError(
@@ -111,7 +113,8 @@ def _check_types(
             )
 
 
-def _filtered_file(parsed: ParsedFile, options: ReadOptions) -> ParsedFile:
+def _filtered_file(parsed: ParsedFile, options: ReadOptions, has_terrain: bool) -> ParsedFile:
+    """Return a file without what is not wanted; `has_terrain`: some file has."""
     types = _types_of(parsed)
     is_kept = np.ones(len(types), bool)
     notes = []
@@ -127,6 +130,12 @@ def _filtered_file(parsed: ParsedFile, options: ReadOptions) -> ParsedFile:
         notes += _count_note("object", types, is_out, "--no-terrain")
         if not any(types):
             notes.append("no types of objects are stated, so --no-terrain left nothing out")
+        elif not has_terrain:
+            stated = first_few(sorted(shown(t) for t in set(types) if t), limit=12)
+            notes.append(
+                "the type of no object is terrain, so --no-terrain left nothing out (types: "
+                f"{stated})"
+            )
     is_face = np.repeat(is_kept, np.diff(parsed.object_face_start))
     is_finding = is_kept[parsed.face_findings.object_index]
     if not options.has_openings and len(parsed.surface_of_polygon):
@@ -136,7 +145,7 @@ def _filtered_file(parsed: ParsedFile, options: ReadOptions) -> ParsedFile:
         is_out[parsed.source_face[is_face]] = True
         is_out &= is_opening
         names = np.array(parsed.surface_names, object)[parsed.surface_of_polygon]
-        notes += _count_note("polygon", names, is_out, "--no-openings")
+        notes += _count_note("polygon", names, is_out, "--no-openings", _HOLES)
         is_face &= ~is_opening[parsed.source_face]
         is_finding &= ~is_opening[parsed.face_findings.source_face]
     elif not options.has_openings:
@@ -146,13 +155,14 @@ def _filtered_file(parsed: ParsedFile, options: ReadOptions) -> ParsedFile:
 
 
 def _count_note(
-    what: str, names: Sequence[str] | np.ndarray, is_out: BOOL, option: str
+    what: str, names: Sequence[str] | np.ndarray, is_out: BOOL, option: str, more: str = ""
 ) -> list[str]:
     """Return the note that counts what was left out, by its names, if anything was."""
     counts = Counter(names[i] for i in np.flatnonzero(is_out).tolist())
     if not counts:
         return []
-    return [f"{count_of(counts.total(), what)} left out by {option} ({_counts_listed(counts)})"]
+    n = count_of(counts.total(), what)
+    return [f"{n} left out by {option} ({_counts_listed(counts)}){more}"]
 
 
 def _taken(parsed: ParsedFile, is_kept: BOOL, is_face: BOOL, is_finding: BOOL) -> ParsedFile:

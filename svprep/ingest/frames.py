@@ -20,6 +20,8 @@ MOST_SCALE_ERROR: Final = 0.005
 """A map is a frame if a metre on it is one on the ground up to this: a shadow of 100 m is
 then 0.5 m off at most. The grids of countries stay within a fifth of it."""
 
+ELLIPSOID: Final = "the ellipsoid of "
+"""How `level_of` begins where heights count from one."""
 _PROBE_M: Final = 10.0
 
 
@@ -189,7 +191,7 @@ def level_of(crs: CRS) -> str:
         return crs.sub_crs_list[1].name
     has_heights = crs.is_geocentric or len(crs.axis_info) == 3
     geodetic = crs.geodetic_crs
-    return f"the ellipsoid of {geodetic.name}" if has_heights and geodetic is not None else ""
+    return f"{ELLIPSOID}{geodetic.name}" if has_heights and geodetic is not None else ""
 
 
 def height_factor(crs: CRS) -> float:

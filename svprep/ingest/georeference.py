@@ -18,7 +18,7 @@ so that equal data have equal frames.
 Heights stay what their CRS says they are, in metres; ellipsoidal ones for an earth-centred
 CRS. They are never moved from one level surface to another: that takes a model of the
 geoid, which PROJ has not got without files from the network, and a city is as right on
-either. Files whose levels differ get a note.
+either. Files whose levels differ get a note with a warning: one may float above the other.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from svprep.ingest.crs_names import (
     proportional,
 )
 from svprep.ingest.frames import (
+    ELLIPSOID,
     Frame,
     best_transformer,
     degrees_in_unit,
@@ -57,8 +58,9 @@ from svprep.ingest.frames import (
     name_of,
     plane_problem,
 )
-from svprep.ingest.parsed import ParsedFile, shown
-from svprep.model import BOOL, F64, Place
+from svprep.ingest.parsed import ParsedFile, box_of_faces, is_used, shown
+from svprep.model import F64, Place
+from svprep.path_names import told_apart
 from svprep.sun import Site, meridian_convergence_deg, place_of
 
 if TYPE_CHECKING:
@@ -75,6 +77,8 @@ _BLOCK: Final = 1 << 17
 _NO_PLANE: Final = re.compile(r"EPSG:(4[0-9]{3}|66(66|68)|6697|7844|7843|7842)(\+.*)?|OGC:.*")
 _EARTH_M: Final = 6_371_000.0
 _TOO_SLENDER: Final = 100.0
+_UNKNOWN: Final = "is none that pyproj knows"
+_NAME_IT: Final = "name it: --crs EPSG:..."
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +87,8 @@ class _Input:
 
     parsed: ParsedFile
     file: Path
+    label: str
+    """What notes on other files call it."""
     crs: CRS | None = None
     """None: it states none, or none that can be used."""
     box: F64 | None = None
@@ -150,14 +156,17 @@ def _with_pyproj(
     parsed: Sequence[ParsedFile], files: Sequence[Path]
 ) -> tuple[list[ParsedFile], Place]:
     """Return what `in_one_frame` does."""
-    inputs = [_looked_at(p, file) for p, file in zip(parsed, files, strict=True)]
+    inputs = [
+        _looked_at(p, file, label)
+        for p, file, label in zip(parsed, files, told_apart(files), strict=True)
+    ]
     first = next((i for i in inputs if i.crs is not None and i.box is not None), None)
     if first is None:
         _refuse_different([i for i in inputs if i.problem])
         return [_noted(i.parsed, i.notes) for i in inputs], Place()
     frame = _frame(first, inputs)
     moved = [_moved(i, first, frame) for i in inputs]
-    boxes = np.stack([box for p in moved if (box := _box_of_faces(p)) is not None])
+    boxes = np.stack([box for p in moved if (box := box_of_faces(p)) is not None])
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     x, y, _ = (low / 2 + high / 2).tolist()
     site = Site(frame.name, x, y)
@@ -169,16 +178,16 @@ def _with_pyproj(
     return moved, place
 
 
-def _looked_at(parsed: ParsedFile, file: Path) -> _Input:
+def _looked_at(parsed: ParsedFile, file: Path, label: str) -> _Input:
     """Return what a file says of its CRS, checked against its positions."""
-    box = _box_of_faces(parsed)
+    box = box_of_faces(parsed)
     stated = parsed.crs.strip()
     if not stated:
-        return _Input(parsed, file, box=box)
+        return _Input(parsed, file, label, box=box)
     crs = crs_of(stated)
     problem, notes = "", tuple[str, ...]()
     if crs is None:
-        problem = "is none that pyproj knows"
+        problem = _UNKNOWN
     elif not (crs.is_projected or crs.is_geographic or crs.is_geocentric):
         problem = "does not say where on Earth the model lies"
     elif box is not None:
@@ -186,10 +195,10 @@ def _looked_at(parsed: ParsedFile, file: Path) -> _Input:
     if problem:
         notes = (
             f'the CRS "{shown(stated)}" {problem}: positions are kept as they are and taken '
-            "for metres, and true north is unknown",
+            f"for metres, and true north is unknown{f'; {_NAME_IT}' * (problem == _UNKNOWN)}",
         )
-        return _Input(parsed, file, None, box, problem, notes)
-    return _Input(parsed, file, crs, box, notes=notes)
+        return _Input(parsed, file, label, None, box, problem, notes)
+    return _Input(parsed, file, label, crs, box, notes=notes)
 
 
 def _checked(stated: str, crs: CRS, box: F64, file: Path) -> tuple[str, tuple[str, ...]]:
@@ -246,7 +255,7 @@ def _refuse_different(unusable: Sequence[_Input]) -> None:
             raise InputError(
                 f'{other.file}: its CRS "{other.name}" {other.problem}, so it has no place '
                 f'beside {unusable[0].file}, in "{unusable[0].name}". Build the files apart, '
-                "or state CRS that pyproj knows."
+                "or state CRS that pyproj knows (--crs EPSG:... for those that it does not)."
             )
 
 
@@ -272,18 +281,20 @@ def _moved(each: _Input, first: _Input, frame: Frame) -> ParsedFile:
     """Return a file with its positions in the frame."""
     assert first.crs is not None
     if each.problem:
+        name_it = f", or {_NAME_IT}" if each.problem == _UNKNOWN else ""
         raise InputError(
             f'{each.file}: its CRS "{each.name}" {each.problem}, so it has no place beside '
-            f'{first.file}, in "{first.name}". Build it alone, or state the CRS of its positions.'
+            f'{first.file}, in "{first.name}". Build it alone, or state the CRS of '
+            f"its positions{name_it}."
         )
     if each.crs is None:
         if frame.is_local:
             raise InputError(
                 f"{each.file} states no CRS, so it has no place beside {first.file}, whose "
                 f'positions are converted from "{first.name}" to metres. Build it alone, or state '
-                "its CRS."
+                f"its CRS, or {_NAME_IT}."
             )
-        note = f"no CRS is stated; taken to be in {frame.words}, as {first.file.name} is"
+        note = f"no CRS is stated; taken to be in {frame.words}, as {first.label} is"
         return _noted(each.parsed, (note,))
     notes = [*each.notes, *_on_heights(each, first)]
     factor = height_factor(each.crs)
@@ -320,7 +331,7 @@ def _converted(each: _Input, frame: Frame) -> tuple[F64, str]:
                 block[:, axis] = values
     is_bad = ~np.isfinite(positions).all(axis=1)
     if is_bad.any():
-        bad = np.flatnonzero(is_bad & _is_used(each.parsed))
+        bad = np.flatnonzero(is_bad & is_used(each.parsed))
         if bad.size:
             at = ", ".join(f"{c:.10g}" for c in each.parsed.positions[bad[0]])
             raise InputError(
@@ -341,7 +352,7 @@ def _on_conversion(each: _Input, frame: Frame, positions: F64, factor: float, ac
         heights = f"heights turned into metres: 1 is {factor:.10g} m"
     precision = ""
     if frame.is_local:
-        far = float(np.abs(positions[_is_used(each.parsed), 0]).max())
+        far = float(np.abs(positions[is_used(each.parsed), 0]).max())
         precision = f", lengths off by at most {1e6 * far**2 / (2 * _EARTH_M**2):.2g} mm in a km"
     why = plane_problem(flat, each.box)
     return (
@@ -357,21 +368,12 @@ def _on_heights(each: _Input, first: _Input) -> list[str]:
     own, others = level_of(each.crs), level_of(first.crs)
     if not own or not others or own == others:
         return []
-    return [f"heights are kept, from the level of {own}; {first.file.name} counts from {others}"]
-
-
-def _is_used(parsed: ParsedFile) -> BOOL:
-    is_used = np.zeros(len(parsed.positions), bool)
-    is_used[parsed.faces.ravel()] = True
-    return is_used
-
-
-def _box_of_faces(parsed: ParsedFile) -> F64 | None:
-    if not len(parsed.faces):
-        return None
-    is_used = _is_used(parsed)
-    points = parsed.positions if is_used.all() else parsed.positions[is_used]
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+    # Between a geoid and an ellipsoid lie up to a hundred metres, between two geoids far less.
+    is_far = (own + others).count(ELLIPSOID) == 1
+    return [
+        f"warning: heights are not brought together: these count from {own}, those of "
+        f"{first.label} from {others}{', which may differ by tens of metres' if is_far else ''}"
+    ]
 
 
 def _noted(parsed: ParsedFile, notes: Sequence[str]) -> ParsedFile:
@@ -395,7 +397,7 @@ def _without_pyproj(
             "pyproj", "formats", f"a frame for inputs in {first_few(map(shown, stated))}"
         )
     for p, file, name in zip(parsed, files, names, strict=True):
-        box = _box_of_faces(p)
+        box = box_of_faces(p)
         is_plane = not _NO_PLANE.fullmatch(name)
         if box is None or not name:
             continue

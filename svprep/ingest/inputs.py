@@ -57,7 +57,7 @@ class Inputs:
     paths: tuple[str, ...]
     """Files, and folders that hold a tileset; as the user named them, or below that."""
     notes: tuple[str, ...]
-    """What of folders and patterns was left out."""
+    """What of folders and patterns was left out: the same for a folder of any name."""
 
 
 def expanded(given: Sequence[str | PathLike[str]]) -> Inputs:
@@ -69,7 +69,7 @@ def expanded(given: Sequence[str | PathLike[str]]) -> Inputs:
         A folder without a model, a pattern without a match.
     """
     paths: list[str] = []
-    notes: list[str] = []
+    others: Counter[str] = Counter()
     for path in given:
         each = fspath(path)
         if os.path.isdir(each):
@@ -85,12 +85,12 @@ def expanded(given: Sequence[str | PathLike[str]]) -> Inputs:
             seen = f" ({_listed(left_out)})" if left_out else ""
             known = ", ".join(MODEL_SUFFIXES)
             raise InputError(f"{where}{seen}. Models end in {known}, each also with .gz.")
-        if left_out:
-            one, several = "file is no model and was", "files are no models and were"
-            n = count_of(left_out.total(), one, several)
-            notes.append(f"{each}: {n} left out ({_listed(left_out)})")
+        others += left_out
         paths += found
-    return Inputs(tuple(paths), tuple(notes))
+    if not others:
+        return Inputs(tuple(paths), ())
+    n = count_of(others.total(), "file is no model and was", "files are no models and were")
+    return Inputs(tuple(paths), (f"{n} left out ({_listed(others)})",))
 
 
 def is_tileset_folder(path: str | PathLike[str]) -> bool:

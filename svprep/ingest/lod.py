@@ -21,11 +21,13 @@ LoD 0, a footprint, is never taken unless it is named; of terrain, water and roa
 ground itself, and taken where there is no higher one.
 
 With a name L, an object contributes level L; where it has none and L is a whole number, the
-highest of its L.x. So ``2`` takes LoD 2.2 of 3DBAG, and ``2.2`` takes LoD 2.2 alone.
+highest of its L.x. So ``2`` takes LoD 2.2 of 3DBAG, and ``2.2`` takes LoD 2.2 alone. Of a
+family, what would double a higher one is left out here too.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +40,7 @@ from svprep.ingest.options import HIGHEST
 from svprep.ingest.parsed import count_of, shown
 from svprep.model import I64
 
+_LEVEL: Final = re.compile(r"(?:lod)?\s*(\d+(?:\.\d+)?)", re.IGNORECASE | re.ASCII)
 _UNSTATED: Final = -1.0  # below every level that is stated
 _SHOWN: Final = 3  # ids in a note
 _GROUND: Final = frozenset(
@@ -125,9 +128,14 @@ def choose_lods(
     parent, cut = _without_cycles(parents)
     numbers = [{number_of(name): name for name in reversed(names)} for names in lods]
     if wanted != HIGHEST:
-        return _named(numbers, lod, cut, path)
+        return _named(numbers, _families(parent, types), lod, cut, path)
     least = [0.0 if is_ground(kind) else 1.0 for kind in types]
-    return _highest(numbers, least, parent, [kind.endswith("Part") for kind in types], cut)
+    return _highest(numbers, least, parent, _families(parent, types), cut)
+
+
+def _families(parent: list[int], types: Sequence[str]) -> list[int]:
+    """Return per object its parent within its family, or -1."""
+    return [p if kind.endswith("Part") else -1 for p, kind in zip(parent, types, strict=True)]
 
 
 def _wanted(lod: str) -> str:
@@ -147,12 +155,10 @@ def is_ground(kind: str) -> bool:
 
 
 def number_of(name: str) -> float:
-    """Return a level as a number, -1 where it states none."""
-    try:
-        number = float(name)
-    except ValueError:
-        return _UNSTATED
-    return number if 0 <= number < 1000 else _UNSTATED
+    """Return a level such as ``2.2`` or ``LOD2`` as a number, -1 where it states none."""
+    found = _LEVEL.fullmatch(name.strip())
+    number = float(found[1]) if found else _UNSTATED
+    return number if number < 1000 else _UNSTATED
 
 
 def _without_cycles(parents: Sequence[int]) -> tuple[list[int], I64]:
@@ -174,19 +180,18 @@ def _without_cycles(parents: Sequence[int]) -> tuple[list[int], I64]:
     return parent, np.array(sorted(cut), np.int64)
 
 
-def _named(numbers: list[dict[float, str]], lod: str, cut: I64, path: Path) -> LodChoice:
+def _named(
+    numbers: list[dict[float, str]], in_family: list[int], lod: str, cut: I64, path: Path
+) -> LodChoice:
     """Choose the level that was asked for."""
-    wanted = float(lod)
+    wanted = number_of(lod)
     above = wanted + 1 if wanted == int(wanted) else wanted
-    chosen: list[str | None] = []
-    without = []
-    for i, levels in enumerate(numbers):
-        finer = [number for number in levels if wanted < number < above]
-        level = wanted if wanted in levels else max(finer, default=None)
-        chosen.append(None if level is None else levels[level])
-        if level is None and levels:
-            without.append(i)
-    if without and all(name is None for name in chosen):
+    own = [
+        wanted if wanted in levels else max((n for n in levels if wanted < n < above), default=None)
+        for levels in numbers
+    ]
+    without = [i for i, level in enumerate(own) if level is None and numbers[i]]
+    if without and all(level is None for level in own):
         known = sorted({number for levels in numbers for number in levels})
         names = [f"{number:g}" if number >= 0 else "not stated" for number in known]
         raise InputError(
@@ -194,19 +199,36 @@ def _named(numbers: list[dict[float, str]], lod: str, cut: I64, path: Path) -> L
             f"{first_few(names, 20)}."
         )
     nothing = np.empty(0, np.int64)
-    return LodChoice(tuple(chosen), nothing, np.array(without, np.int64), 0, cut)
+    return _chosen(numbers, own, in_family, nothing, np.array(without, np.int64), cut)
+
+
+def _chosen(
+    numbers: list[dict[float, str]],
+    own: list[float | None],
+    in_family: list[int],
+    only_footprint: I64,
+    without_level: I64,
+    cut: I64,
+) -> LodChoice:
+    """Choose the objects' own levels, but of a family nothing twice."""
+    is_chosen = _not_doubled(own, in_family)
+    lods = [
+        numbers[i][level] if level is not None and is_chosen[i] else None
+        for i, level in enumerate(own)
+    ]
+    n_doubled = sum(level is not None for level in own) - sum(is_chosen)
+    return LodChoice(tuple(lods), only_footprint, without_level, n_doubled, cut)
 
 
 def _highest(
     numbers: list[dict[float, str]],
     least: list[float],
     parent: list[int],
-    is_part: list[bool],
+    in_family: list[int],
     cut: I64,
 ) -> LodChoice:
     """Choose the highest level of each family."""
     order = _downwards(parent)
-    in_family = [p if part else -1 for p, part in zip(parent, is_part, strict=True)]
     root = list(range(len(parent)))
     members: dict[int, list[int]] = {}
     for i in order:
@@ -223,15 +245,9 @@ def _highest(
             own[i] = _own_level(numbers[i], least[i], whole if has_whole else None)
         level_of_family[head] = max((n for i in family if (n := own[i]) is not None), default=None)
 
-    is_chosen = _not_doubled(own, in_family)
-    lods = [
-        numbers[i][level] if level is not None and is_chosen[i] else None
-        for i, level in enumerate(own)
-    ]
     footprints = [i for i, level in enumerate(own) if level is None and numbers[i]]
-    n_doubled = sum(level is not None for level in own) - sum(is_chosen)
     nothing = np.empty(0, np.int64)
-    return LodChoice(tuple(lods), np.array(footprints, np.int64), nothing, n_doubled, cut)
+    return _chosen(numbers, own, in_family, np.array(footprints, np.int64), nothing, cut)
 
 
 def _own_level(levels: dict[float, str], least: float, most: float | None) -> float | None:

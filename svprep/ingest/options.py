@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from svprep.errors import InputError
+from svprep.ingest.crs_names import is_place_on_earth
 
 HIGHEST: Final = "highest"
 _LOD: Final = re.compile(r"[0-9]{1,3}(\.[0-9]{1,3})?")
@@ -24,11 +25,18 @@ class ReadOptions:
     has_terrain: bool = True
     has_openings: bool = True
     """Windows and doors."""
+    crs: str = ""
+    """Of files that state none, or one that pyproj does not know; see `svprep.ingest.crs_given`."""
 
     def __post_init__(self) -> None:
         if not is_lod(self.lod):
             raise InputError(
                 f'the level of detail is "{HIGHEST}" or a number such as 2 or 2.2, not "{self.lod}"'
+            )
+        if self.crs and not is_place_on_earth(self.crs):
+            raise InputError(
+                "the CRS of the input files is one on Earth that pyproj knows, such as "
+                f'EPSG:28992, not "{self.crs}"'
             )
 
     def as_config(self) -> dict[str, object]:
@@ -43,6 +51,8 @@ class ReadOptions:
             config["terrain"] = False
         if not self.has_openings:
             config["openings"] = False
+        if self.crs:
+            config["crs"] = self.crs
         return config
 
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.model import F64, I64, U8, U32, FaceFindings
+from svprep.model import BOOL, F64, I64, U8, U32, FaceFindings
 
 Report = Callable[[float], None]
 """Told the fraction of a file that is read, 0 to 1."""
@@ -48,6 +48,22 @@ class ParsedFile:
 def no_findings() -> FaceFindings:
     """Return an empty list of findings."""
     return FaceFindings(np.empty(0, np.uint16), np.empty(0, np.uint32), np.empty(0, np.uint32))
+
+
+def is_used(parsed: ParsedFile) -> BOOL:
+    """Return ``(n_vertices,)``: whether each is the corner of a face."""
+    found = np.zeros(len(parsed.positions), bool)
+    found[parsed.faces.ravel()] = True
+    return found
+
+
+def box_of_faces(parsed: ParsedFile) -> F64 | None:
+    """Return ``(2, 3)``, the lowest and highest position of a face's corner; None without faces."""
+    if not len(parsed.faces):
+        return None
+    found = is_used(parsed)
+    points = parsed.positions if found.all() else parsed.positions[found]
+    return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def count_of(n: int, singular: str, plural: str = "") -> str:

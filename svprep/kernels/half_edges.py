@@ -84,6 +84,15 @@ _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfun
 
 
 @_helper
+def _lies_before(grid_positions, a, b):
+    """Whether vertex a comes before vertex b by position: x, then y, then z."""
+    for axis in range(3):
+        if grid_positions[a, axis] != grid_positions[b, axis]:
+            return grid_positions[a, axis] < grid_positions[b, axis]
+    return False
+
+
+@_helper
 def _comes_before(i, j, key, opens, third, half_edge):
     """Order around an edge: key, closers before openers, third vertex, half-edge."""
     if key[i] != key[j]:
@@ -195,7 +204,10 @@ def pair_half_edges(
     *Loose* faces hang on a border somewhere and can close nothing, so the
     others are matched first, and what is left after that.
 
-    Seen along lo -> hi, the outward normal of a forward face points
+    Here an edge runs from the end that comes first by position (its tail) to the
+    other (its head), and a face is forward that traverses it so: repair numbers
+    vertices anew once faces are paired, and must find the same pairs again. Seen
+    from tail to head, the outward normal of a forward face points
     counter-clockwise, so its material lies clockwise of it: going round
     counter-clockwise, a backward face opens a wedge and a forward face closes
     it. At equal angles closers go first: there one solid ends and the next
@@ -228,26 +240,27 @@ def pair_half_edges(
             mate[order[start + i]] = -1
         if k == 1:
             continue
+        f = order[start] // 3
+        c = order[start] - 3 * f
+        tail = faces[f, c]
+        head = faces[f, c + 1 if c < 2 else 0]
+        if k > 2 and _lies_before(grid_positions, head, tail):
+            tail, head = head, tail
         for i in range(k):
             h = order[start + i]
             f = h // 3
-            c = h - 3 * f
-            opens[i] = (faces[f, c] < faces[f, c + 1 if c < 2 else 0]) == flips[f]
+            opens[i] = (faces[f, h - 3 * f] == tail) == flips[f]
             half_edge[i] = h
         if k == 2:
             if opens[0] != opens[1]:
                 mate[half_edge[0]] = half_edge[1]
                 mate[half_edge[1]] = half_edge[0]
             continue
-        f = half_edge[0] // 3
-        c = half_edge[0] - 3 * f
-        a = faces[f, c]
-        b = faces[f, c + 1 if c < 2 else 0]
-        lo = min(a, b)
-        hi = max(a, b)
         length = 0.0
         for axis in range(3):
-            u[axis] = np.float64(grid_positions[hi, axis]) - np.float64(grid_positions[lo, axis])
+            u[axis] = np.float64(grid_positions[head, axis]) - np.float64(
+                grid_positions[tail, axis]
+            )
             length += u[axis] * u[axis]
         length = math.sqrt(length)
         first = 0
@@ -256,7 +269,7 @@ def pair_half_edges(
             apex = faces[h // 3, (h % 3 + 2) % 3]
             for axis in range(3):
                 third[i, axis] = grid_positions[apex, axis]
-                w[axis] = np.float64(third[i, axis]) - np.float64(grid_positions[lo, axis])
+                w[axis] = np.float64(third[i, axis]) - np.float64(grid_positions[tail, axis])
             normal[i, 0] = u[1] * w[2] - u[2] * w[1]
             normal[i, 1] = u[2] * w[0] - u[0] * w[2]
             normal[i, 2] = u[0] * w[1] - u[1] * w[0]

@@ -15,14 +15,14 @@ Vector = tuple[int, int, int]
 
 
 class _Spoke(NamedTuple):
-    """A half-edge seen along its edge, lo towards hi."""
+    """A half-edge seen along its edge, from its tail, first by position, to its head."""
 
     half_edge: int
     opens: bool
-    """Whether its face traverses hi -> lo: going round counter-clockwise,
+    """Whether its face traverses head -> tail: going round counter-clockwise,
     material begins at it."""
     normal: Vector
-    """``(hi - lo) x (third - lo)``: turns with the face, by the same angle."""
+    """``(head - tail) x (third - tail)``: turns with the face, by the same angle."""
     third: Vector
 
 
@@ -54,15 +54,16 @@ def pair_edges(points: np.ndarray, faces: np.ndarray, flips: np.ndarray) -> list
     mate = [-1] * (3 * len(faces))
     groups = group_edges(faces)
     loose = _loose_faces(groups.values(), len(faces))
-    for (lo, hi), half_edges in groups.items():
-        axis = _minus(_point(points, hi), _point(points, lo))
+    for edge, half_edges in groups.items():
+        tail, head = sorted(edge, key=lambda v: _point(points, v))
+        axis = _minus(_point(points, head), _point(points, tail))
         spokes = []
         for h in half_edges:
             f, c = h // 3, h % 3
             third = _point(points, int(faces[f, (c + 2) % 3]))
-            runs_up = (int(faces[f, c]) == lo) != bool(flips[f])
-            normal = _cross(axis, _minus(third, _point(points, lo)))
-            spokes.append(_Spoke(h, not runs_up, normal, third))
+            is_forward = (int(faces[f, c]) == tail) != bool(flips[f])
+            normal = _cross(axis, _minus(third, _point(points, tail)))
+            spokes.append(_Spoke(h, not is_forward, normal, third))
         if len(spokes) == 2:
             pairs = [(spokes[0], spokes[1])] if spokes[0].opens != spokes[1].opens else []
         else:

@@ -232,13 +232,15 @@ def _runs_up(faces: U32, flips: BOOL) -> BOOL:
 
 
 def _longest_first(part: Part, half_edges: I32) -> I64:
-    """Order half-edges by length, then by height and place: independent of numbering."""
+    """Order half-edges by length, then by the places of their ends: independent of numbering."""
     face, corner = half_edges // 3, half_edges % 3
     p = part.points[part.faces[face, corner]].astype(np.int64)
     q = part.points[part.faces[face, (corner + 1) % 3]].astype(np.int64)
     low, high = np.minimum(p, q), np.maximum(p, q)
-    length = ((q - p) ** 2).sum(axis=1)
-    return np.lexsort((*high.T, *low.T, -length))
+    across = q - p
+    diagonal = across * np.roll(across, 1, axis=1)  # of the box from low to high: which one
+    length = (across**2).sum(axis=1)
+    return np.lexsort((*diagonal.T, *high.T, *low.T, -length))
 
 
 def _turn_outward(part: Part, flips: BOOL, groups: EdgeGroups) -> BOOL:

@@ -144,7 +144,10 @@ def test_options_leave_out_what_they_say(capfd: pytest.CaptureFixture[str]) -> N
     assert set(names_in()) == {"house", "farm-main", "farm-barn"}
     said = built(capfd, HAMLET, "--no-openings")
     assert said["faces"] == 48
-    assert "hamlet.city.json: 1 polygon left out by --no-openings (Window 1)" in said["notes"]
+    assert (
+        "hamlet.city.json: 1 polygon left out by --no-openings (Window 1): walls keep holes where "
+        "these stood, and light falls through"
+    ) in said["notes"]
     built(capfd, HAMLET, "--lod", "1")
     assert set(names_in()) == {"house", "farm", "meadow"}
     assert run(["silhouette", "a.svp.h5", "--light", "dir:1,1", "--objects", "farm-main"]) == 1

@@ -16,7 +16,7 @@ from tests.unit.export_checks import FORMS, assert_round_trip
 CITIES = (
     "munich_lod2_v0.json",
     "munich_lod2.gml",
-    "wageningen_7-624-528/1_0_0.glb",
+    "wageningen_7-624-528/content/1_0_0.glb",
     "ingolstadt_lod3/4018210.xml.gz",
 )
 LONG = [p for p in buildable_files() if p.is_relative_to(SHARED)]

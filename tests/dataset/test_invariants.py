@@ -11,6 +11,7 @@ from svprep.model import MOST_TILT_RAD, NO_INDEX, ComponentFlag
 from svprep.silhouette.volumes import closed_volume_allowed, component_bounds
 from svprep.validate import random_lights, row_multiplicity
 from tests.dataset.datasets import SHARED, Built, build, buildable_files, label, thin
+from tests.property.meshes import renumbered
 
 FILES = buildable_files()
 LIGHTS = 100
@@ -49,19 +50,21 @@ def test_each_side_of_each_face_stands_in_one_record(built: Built) -> None:
 def raw_weights(built: Built) -> tuple[np.ndarray, np.ndarray]:
     """Return the welded source faces, one for each set of corners, and how many stay.
 
+    In the numbers of the repaired mesh's vertices.
     A face's share of a multiplicity does not depend on its winding, so faces on
     the same corners count alike: what repair dropped is known by counting.
     """
-    raw, mesh = built.welded, built.prepared.mesh
+    mesh = built.prepared.mesh
+    raw_faces = renumbered(built.welded, mesh)
     rows, first, raw_count = np.unique(
-        np.sort(raw.faces, axis=1), axis=0, return_index=True, return_counts=True
+        np.sort(raw_faces, axis=1), axis=0, return_index=True, return_counts=True
     )
     kept, kept_count = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_counts=True)
     assert np.array_equal(rows, kept), "repair lost or invented a face"
     assert (kept_count <= raw_count).all()
     found = built.prepared.repair.face_findings
     assert (raw_count - kept_count).sum() == np.count_nonzero(found.code == 103)
-    return raw.faces[first], kept_count
+    return raw_faces[first], kept_count
 
 
 def own_facing(positions: np.ndarray, faces: np.ndarray, light: np.ndarray) -> np.ndarray:

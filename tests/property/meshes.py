@@ -51,6 +51,11 @@ class Built:
         return grid_coordinates(self.repaired.mesh.positions, self.mesh.grid)
 
     @property
+    def welded_faces(self) -> np.ndarray:
+        """``(n_welded_faces, 3)``: the welded mesh's faces, in the repaired mesh's vertices."""
+        return renumbered(self.mesh, self.repaired.mesh)
+
+    @property
     def component_of_face(self) -> np.ndarray:
         sizes = np.diff(self.components.face_start)
         return np.repeat(np.arange(len(sizes)), sizes)
@@ -62,6 +67,26 @@ class Built:
     def rows_of(self, component: int) -> np.ndarray:
         start = self.components.edge_start
         return self.edges.rows[start[component] : start[component + 1]]
+
+
+def renumbered(welded: Mesh, repaired: Mesh) -> np.ndarray:
+    """Return the faces of `welded` in the vertices of `repaired`.
+
+    Repair numbers vertices anew, so it is by place that faces of the two are the same:
+    within an object no two vertices share one.
+    """
+    ranks, places = [], []
+    for mesh in (welded, repaired):
+        sizes = np.diff(mesh.object_vertex_start)
+        place = np.column_stack((np.repeat(np.arange(len(sizes)), sizes), mesh.positions))
+        rank = np.lexsort(place.T)
+        ranks.append(rank)
+        places.append(place[rank])
+    assert np.array_equal(*places), "repair lost, moved or invented a vertex"
+    assert (places[0][1:] != places[0][:-1]).any(axis=1).all(), "two vertices share a place"
+    new_from_old = np.empty(len(ranks[0]), np.uint32)
+    new_from_old[ranks[0]] = ranks[1]
+    return new_from_old[welded.faces]
 
 
 def build(source: SourceMesh) -> Built:

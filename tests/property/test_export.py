@@ -1,4 +1,4 @@
-"""Any repaired soup survives its export, bit for bit, in every format."""
+"""Any repaired soup survives its export, bit for bit and vertex by vertex, in every format."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -27,9 +27,11 @@ from tests.property.meshes import (
     joined,
     lights,
     moved,
+    renumbered,
     shuffled,
     side_by_side,
     solids,
+    source_mesh,
     sphere,
     turned,
     unwelded,
@@ -158,16 +160,21 @@ def check_tables(built: Built) -> None:
         assert np.array_equal(np.unique(own), np.arange(begin, end))
     assert components.edge_start[-1] == len(rows)
 
+    # Vertices are numbered in the order in which the faces use them.
+    used, first_corner = np.unique(faces, return_index=True)
+    np.testing.assert_array_equal(used, np.arange(len(mesh.positions)))
+    assert (np.diff(first_corner) > 0).all()
+
     # No face is there twice the same way; every one that went is accounted for.
     kept = normalised(faces)
     assert len(np.unique(kept, axis=0)) == n
-    raw, old = normalised(built.mesh.faces), raw_of_repaired(built)
-    expected = built.mesh.faces[old]
+    welded, old = built.welded_faces, raw_of_repaired(built)
+    expected = welded[old]
     expected[is_flipped(built)] = expected[is_flipped(built)][:, [0, 2, 1]]
     np.testing.assert_array_equal(expected, faces)
     stays = {tuple(sorted(corners)) for corners in kept.tolist()}
-    gone = set(range(len(raw))) - set(old.tolist())
-    assert all(tuple(sorted(raw[f].tolist())) in stays for f in gone)
+    gone = set(range(len(welded))) - set(old.tolist())
+    assert all(tuple(sorted(welded[f].tolist())) in stays for f in gone)
     source_faces = built.mesh.source_face[sorted(gone)].tolist()
     assert sorted(built.report.duplicates.source_face.tolist()) == sorted(source_faces)
     total = built.record.defect_counts.sum(axis=0)
@@ -200,7 +207,7 @@ def check_multiplicities(built: Built, facing: np.ndarray) -> None:
     """Raw triangles, repaired triangles and records agree on m_e; volumes are closed."""
     faces, rows = built.repaired.mesh.faces, built.edges.rows
     raw_facing = np.where(is_flipped(built), -facing, facing)
-    raw = reference.edge_multiplicity(built.mesh.faces[raw_of_repaired(built)], raw_facing)
+    raw = reference.edge_multiplicity(built.welded_faces[raw_of_repaired(built)], raw_facing)
     by_rows = reference.multiplicity_of_rows(rows, facing)
     assert by_rows == raw
 
@@ -319,7 +326,7 @@ def test_volumes_of_the_suite_shade_what_faces_shade(name: str) -> None:
 
 def check_repair_again(built: Built) -> None:
     again, report = repair(built.repaired.mesh)
-    for name in ("faces", "source_face", "object_face_start", "object_vertex_start"):
+    for name in ("positions", "faces", "source_face", "object_face_start", "object_vertex_start"):
         np.testing.assert_array_equal(
             getattr(again.mesh, name), getattr(built.repaired.mesh, name), name
         )
@@ -343,6 +350,43 @@ def test_repairing_the_suite_again_changes_nothing(name: str) -> None:
     check_repair_again(build(SUITE[name]()))
 
 
+def around_one_edge() -> SourceMesh:
+    """Five faces, three of them at one edge: welding numbers that edge's ends one way, and
+    repair, which reorders the faces, the other."""
+    vertices = [[0, 0, 0], [0, 1, 0], [0, 1, 1], [1, 0, 0], [1, 0, 1], [1, 1, 0], [1, 1, 1]]
+    faces = [[4, 1, 5], [2, 6, 7], [6, 0, 7], [6, 3, 7], [7, 4, 5]]
+    return source_mesh(np.array([*vertices, [2, 0, 0]]), np.array(faces))
+
+
+def test_repair_finds_the_same_pairs_under_its_own_numbers() -> None:
+    built = build(around_one_edge())
+    assert (built.repaired.groups.n_faces_of_edge > 2).any()
+    check_repair_again(built)
+
+
+@given(any_mesh(), st.integers(0, 2**32 - 1))
+@settings(max_examples=150)
+def test_the_numbers_of_vertices_do_not_matter(source: SourceMesh, seed: int) -> None:
+    built = build(source)
+    rng = np.random.default_rng(seed)
+    starts = built.mesh.object_vertex_start.tolist()
+    old = np.concatenate([b + rng.permutation(e - b) for b, e in pairwise([0, *starts])])
+    new = np.argsort(old).astype(np.uint32)
+    mesh = replace(built.mesh, positions=built.mesh.positions[old], faces=new[built.mesh.faces])
+    other, report = repair(mesh)
+    assert report.n_passes == built.report.n_passes
+    np.testing.assert_array_equal(report.flipped_faces, built.report.flipped_faces)
+    np.testing.assert_array_equal(
+        report.duplicates.source_face, built.report.duplicates.source_face
+    )
+    for name in ("mate", "component_start", "component_face_start", "component_flags"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(built.repaired, name), name)
+    np.testing.assert_array_equal(other.mesh.source_face, built.repaired.mesh.source_face)
+    np.testing.assert_array_equal(
+        renumbered(other.mesh, built.repaired.mesh), built.repaired.mesh.faces
+    )
+
+
 # Metamorphic relations ---------------------------------------------------------------------------
 
 PROBES = np.array([[1, 2, 3, 0], [0, 0, 1, 0], [-3, 1, 0, 0], [5, 2.5, 7, 1], [1, 1, 1, 1]])
@@ -355,14 +399,13 @@ def multiplicity_in_space(
     built: Built, probes: np.ndarray, rotation: np.ndarray, shift: np.ndarray
 ) -> list[dict[Key, int]]:
     """m_e by object and source position, as if the model had not been turned and moved."""
-    positions = built.mesh.positions.astype(float) + built.mesh.grid.origin_m
+    mesh = built.repaired.mesh
+    positions = mesh.positions.astype(float) + mesh.grid.origin_m
     original = ((positions - shift) @ rotation).tolist()
-    owner = (
-        np.searchsorted(built.mesh.object_vertex_start, np.arange(len(positions)), side="right") - 1
-    )
+    owner = np.searchsorted(mesh.object_vertex_start, np.arange(len(positions)), side="right") - 1
     found = []
     for probe in probes:
-        xyz = rotation @ probe[:3] + probe[3] * (shift - built.mesh.grid.origin_m)
+        xyz = rotation @ probe[:3] + probe[3] * (shift - mesh.grid.origin_m)
         light = np.array([*xyz, probe[3]], np.float32)
         sums: dict[Key, int] = {}
         rows = reference.multiplicity_of_rows(built.edges.rows, facing_of_face(built, light))
@@ -383,7 +426,7 @@ def counts_of(built: Built, but: frozenset[Code] = frozenset()) -> dict[str, obj
     defects = built.record.defect_counts.sum(axis=0)
     return {
         "faces": len(built.repaired.mesh.faces),
-        "vertices": len(built.mesh.positions),
+        "vertices": len(built.repaired.mesh.positions),
         "rows by flags": np.bincount(built.edges.flags, minlength=8).tolist(),
         "planes": len(built.planes.planes),
         "components by flags": np.bincount(flags, minlength=8).tolist(),
@@ -468,6 +511,7 @@ def test_unwelded_input_does_not_matter(source: SourceMesh) -> None:
     np.testing.assert_array_equal(one.edges.rows, other.edges.rows)
     np.testing.assert_array_equal(one.edges.flags, other.edges.flags)
     np.testing.assert_array_equal(one.mesh.positions, other.mesh.positions)
+    np.testing.assert_array_equal(one.repaired.mesh.positions, other.repaired.mesh.positions)
 
 
 @given(any_mesh(), st.integers(0, 2**32 - 1))
@@ -511,6 +555,7 @@ def test_a_long_way_does_not_matter(source: SourceMesh) -> None:
     check_same(one, other)
     np.testing.assert_array_equal(one.mesh.grid.origin_m + shift, other.mesh.grid.origin_m)
     np.testing.assert_array_equal(one.mesh.positions, other.mesh.positions)
+    np.testing.assert_array_equal(one.repaired.mesh.positions, other.repaired.mesh.positions)
     np.testing.assert_array_equal(one.edges.rows, other.edges.rows)
     np.testing.assert_array_equal(one.planes.planes, other.planes.planes)
 
@@ -536,6 +581,7 @@ def everything(built: Built) -> list[np.ndarray]:
     return [
         built.mesh.positions,
         built.mesh.faces,
+        built.repaired.mesh.positions,
         built.repaired.mesh.faces,
         built.repaired.mesh.source_face,
         built.repaired.mate,

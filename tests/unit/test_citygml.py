@@ -343,6 +343,26 @@ def test_levels_of_detail() -> None:
         read(text, "3")
 
 
+def test_kinds_that_the_highest_level_lacks_are_taken_from_a_lower_one() -> None:
+    at_3 = "lod3MultiSurface"
+    pane = lod(polygon(SHIFTED), name=at_3)
+    window = f"<bldg:opening><bldg:Window>{pane}</bldg:Window></bldg:opening>"
+    walls = wall(lod(polygon(), polygon(SHIFTED)) + window)
+    parsed = read(city(building(walls)))
+    assert sorted(named_surfaces(parsed)) == ["WallSurface", "WallSurface", "Window"]
+    (note,) = [note for note in parsed.notes if "lower LoD" in note]
+    assert note.startswith("2 polygons of a lower LoD taken for 1 object without surfaces")
+    assert note.endswith(": b1")
+
+    roof = wall(lod(polygon(SHIFTED)), "RoofSurface")
+    mixed = city(building(wall(lod(polygon(), name=at_3) + lod(polygon())) + roof))
+    assert sorted(named_surfaces(read(mixed))) == ["RoofSurface", "WallSurface"]
+    # What names no kinds is all of its object.
+    solid = lod(polygon(), name=at_3)
+    assert named_surfaces(read(city(building(solid + roof)))) == [""]
+    assert named_surfaces(read(mixed, "3")) == ["WallSurface"]
+
+
 def test_an_object_without_an_id_is_named_by_type_and_number() -> None:
     parsed = read(city(building(name=""), building(lod(polygon()), name="")))
     assert parsed.object_names == ("Building_2",)

@@ -19,6 +19,7 @@ from svprep.export.city import city_of, distinct
 from svprep.export.obj import written_names
 from svprep.export.output import write_export
 from svprep.ingest import read
+from svprep.ingest.crs_names import normalised_crs
 from svprep.model import Prepared
 from svprep.pipeline import BuildConfig, prepare
 from tests.property.meshes import source_mesh
@@ -182,6 +183,37 @@ def test_types_that_cityjson_does_not_have(tmp_path: Path) -> None:
     assert [o["type"] for o in objects.values()] == ["GenericCityObject"] * 2
     assert objects["a"]["attributes"] == {"type": "Kiosk"}
     assert summary["retyped"] == 1
+    assert summary["untyped"] == 1
+    assert "1 objects without a type written as Generic" in cli_export.summary_lines(summary)[-1]
+    assert exported(city, tmp_path, "ply")[1]["untyped"] == 0
+
+
+@pytest.mark.parametrize(
+    ("crs", "code", "not_kept"),
+    [
+        ("EPSG:7415", "/EPSG/0/7415", []),
+        (
+            "EPSG:31468+5783",
+            "-compound?1=https://www.opengis.net/def/crs/EPSG/0/31468"
+            "&2=https://www.opengis.net/def/crs/EPSG/0/5783",
+            [],
+        ),
+        ('PROJCRS["local frame at 48.137, 11.575"]', None, ["crs"]),
+        ("EPSG:28992 or so", None, ["crs"]),
+        ("", None, []),
+    ],
+)
+def test_what_cityjson_calls_a_crs(
+    crs: str, code: str | None, not_kept: list[str], tmp_path: Path
+) -> None:
+    sample = strip_and_tetrahedron()
+    sample = replace(sample, place=replace(sample.place, crs=crs))
+    output, summary = exported(sample, tmp_path, "city.json")
+    stated = json.loads(output.read_text())["metadata"].get("referenceSystem")
+    assert stated == (code and f"https://www.opengis.net/def/crs{code}")
+    assert summary["not_kept"] == not_kept
+    if stated:
+        assert normalised_crs(read([output]).sources[0].crs) == crs
 
 
 def test_cityjson_is_what_it_should_be(tmp_path: Path) -> None:

@@ -92,7 +92,10 @@ def test_openings_are_left_out_and_polygons_keep_their_numbers() -> None:
     assert found.object_names == ("house", "wing", "tin", "bridge")
     assert found.source_face.tolist() == [0, 2, 5, 5, 6, 7]
     assert found.face_findings.source_face.tolist() == [4]
-    assert found.notes[1] == "2 polygons left out by --no-openings (Door 1, Window 1)"
+    assert found.notes[1] == (
+        "2 polygons left out by --no-openings (Door 1, Window 1): walls keep holes where these "
+        "stood, and light falls through"
+    )
     np.testing.assert_array_equal(found.surface_of_polygon, town().surface_of_polygon)
 
 
@@ -153,6 +156,18 @@ def test_what_had_no_effect_is_said() -> None:
         "no types of objects are stated, so --no-terrain left nothing out",
         "no surfaces are named, so --no-openings left nothing out",
     )
+
+
+def test_no_terrain_where_there_is_none_says_so() -> None:
+    built = replace(town(), object_types=("Building", "BuildingPart", "Building", ""))
+    (found,) = filtered([built], PATHS[:1], ReadOptions(has_terrain=False))
+    assert found.notes[1:] == (
+        "the type of no object is terrain, so --no-terrain left nothing out (types: Building, "
+        "BuildingPart)",
+    )
+    one, other = filtered([built, town()], PATHS, ReadOptions(has_terrain=False))
+    assert one.notes == built.notes  # the terrain is in the other file
+    assert other.notes[1] == "1 object left out by --no-terrain (TINRelief 1)"
 
 
 @pytest.mark.parametrize(

@@ -497,7 +497,10 @@ def test_tiles_about_the_centre_of_the_earth_beside_a_national_grid() -> None:
     (a, b), place = framed(box("EPSG:7415", 174_000.0, 441_000.0), centred)
     assert place.crs == "EPSG:7415"
     assert np.abs(b.positions[0] - a.positions[0]).max() < 1.0
-    assert "heights are kept, from the level of the ellipsoid of WGS 84" in b.notes[0]
+    assert b.notes[0] == (
+        "warning: heights are not brought together: these count from the ellipsoid of WGS 84, "
+        "those of a.gml from NAP height, which may differ by tens of metres"
+    )
     assert "heights above the ellipsoid" in b.notes[1]
     (a, b), place = framed(centred, box("EPSG:7415", 174_000.0, 441_000.0))
     assert place.crs.startswith("PROJCRS")
@@ -525,7 +528,8 @@ def test_heights_of_two_levels_are_noted_and_kept() -> None:
     assert place.crs == "EPSG:25832+5783"
     assert b.positions is files[1].positions
     assert b.notes == (
-        "heights are kept, from the level of DHHN2016 height; a.gml counts from DHHN92 height",
+        "warning: heights are not brought together: these count from DHHN2016 height, those of "
+        "a.gml from DHHN92 height",
     )
 
 

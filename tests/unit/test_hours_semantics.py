@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from svprep.hours import Kind
-from svprep.hours.semantics import UNSTATED, stated_kinds
+from svprep.hours.semantics import UNSTATED, doubted_walls, stated_kinds
 from svprep.model import Labels, Prepared
 from tests.unit.hours_scenes import BOTTOM, SOUTH, TOP, box, city, level, surfaces_in
 
@@ -92,3 +92,25 @@ def test_a_box_named_throughout() -> None:
     assert kinds_of(named, BOTTOM) == {UNDERSIDE}
     assert kinds_of(named, TOP) == {ROOF}
     assert kinds_of(named, SOUTH) == {WALL}
+
+
+def test_walls_are_doubted_where_a_file_calls_every_face_so() -> None:
+    plain = city(box((0, 0, 0), (9, 9, 5)))
+    named = labelled(plain, "Building", (range(12), "WallSurface"))
+    assert kinds_of(named, SOUTH) == {WALL}
+    assert kinds_of(named, TOP) == {ROOF}
+    assert kinds_of(named, BOTTOM) == {UNDERSIDE}
+    assert surfaces_in(named).is_stated.sum() == 8
+    # A file that tells them apart is believed, however level its walls are.
+    told = labelled(plain, "Building", (range(2, 12), "WallSurface"), (BOTTOM, "GroundSurface"))
+    assert kinds_of(told, TOP) == {WALL}
+
+
+def test_each_file_is_doubted_by_itself() -> None:
+    labels = Labels(("",) * 2, ("",) * 2, ("", "WallSurface"), np.array([1, 1, 1, 0], np.uint8))
+    nz = np.array([1.0, 0.0, -0.6, 1.0])
+    source = np.array([1, 1, 3, 3], np.uint32)
+    assert doubted_walls(labels, source, nz).tolist() == [True, False, False, False]
+    assert not doubted_walls(Labels.none(2, 4), source, nz).any()
+    nothing = Labels(("",), ("",), ("", "WallSurface"), np.zeros(0, np.uint8))
+    assert len(doubted_walls(nothing, source[:0], nz[:0])) == 0

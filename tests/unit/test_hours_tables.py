@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +151,7 @@ def test_the_header_says_everything(cache: Cache, hours: SunHours, table: bytes)
         "kinds as the files name surfaces": header["kinds as the files name surfaces"],
         "kinds by geometry": header["kinds by geometry"],
         "samples whose kind the files state": "0",
+        "samples on level faces of files that call every face a wall, by geometry": "0",
         "sunlit": header["sunlit"],
         "atmosphere": "refraction is included; weather and terrain beyond the model are not",
         "columns": header["columns"],
@@ -273,3 +275,14 @@ def test_where_sun_hours_may_not_be_written(cache: Cache, hours: SunHours, tmp_p
     assert foreign.read_text() == "a,b\n1,2\n"
     write_hours(hours, cache, model)  # ours may be written again
     assert not list(tmp_path.glob(".*"))
+
+
+def test_files_of_one_name_are_told_apart() -> None:
+    pair = city(level(0, 0, 2, 2), level(5, 0, 7, 2), names=("a", "b"))
+    (source,) = pair.sources
+    pair = replace(
+        pair,
+        sources=tuple(replace(source, path=f"x/{part}/city.gml") for part in "ab"),
+        object_source=np.array([0, 1], np.uint32),
+    )
+    assert sun_hours(pair, arc_at(VIENNA, SPEC)).object_sources == ("a/city.gml", "b/city.gml")

@@ -111,10 +111,17 @@ def test_no_permission_as_told_by_the_system(tmp_path, monkeypatch):
     ],
 )
 def test_unknown_suffixes(tmp_path, name, problem):
+    (tmp_path / name).write_text("text")
     message = refusal(tmp_path / name)
     assert problem in message
     assert "Known: .obj, .ply, .stl, .off, .glb, .gltf" in message
     assert ".json, .jsonl, .gml, .xml, each also with .gz" in message
+
+
+@pytest.mark.parametrize("name", ["nonexist", "nonexist.obj"])
+def test_a_misspelt_name_is_no_such_file(tmp_path, name):
+    path = tmp_path / name
+    assert refusal(path) == f"{path}: there is no such file."
 
 
 @pytest.mark.parametrize(

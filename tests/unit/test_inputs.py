@@ -14,7 +14,8 @@ from svprep.errors import InputError
 from svprep.ingest import read
 from svprep.ingest.inputs import expanded, is_tileset, stem_of
 from svprep.ingest.notes import merged_notes
-from svprep.pipeline import default_cache_path
+from svprep.ingest.options import ReadOptions
+from svprep.pipeline import build, default_cache_path
 
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
 CITY = b'{"type": "CityJSON", "CityObjects": {}}'
@@ -58,7 +59,7 @@ def test_a_folder_is_every_model_below_it(folder: Path) -> None:
         "city/t",
     )
     (note,) = found.notes
-    assert note.startswith("city: 7 files are no models and were left out (")
+    assert note.startswith("7 files are no models and were left out (")
     for word in (".md 1", "no suffix 1", ".h5 1", ".json 1", ".gml 1", ".xml 1"):
         assert word in note or "(7)" in note
     assert expanded(found.paths) == type(found)(found.paths, ())
@@ -67,6 +68,20 @@ def test_a_folder_is_every_model_below_it(folder: Path) -> None:
 def test_a_folder_with_a_tileset_is_one_input(folder: Path) -> None:
     assert expanded(["city/t"]).paths == ("city/t",)
     assert expanded(["city/t/content"]).paths == ("city/t/content/0.glb",)
+
+
+def test_what_a_folder_is_called_changes_no_note_and_no_digest(folder: Path) -> None:
+    for name in ("fa", "fb"):
+        Path(name).mkdir()
+        Path(name, "a.obj").write_bytes(TRIANGLE)
+        Path(name, "README.md").write_bytes(b"# hello")
+    given = ("fa", "fa/", "./fa", str(Path("fa").resolve()), "fb", "fa/*")
+    assert {expanded([each]).notes for each in given} == {
+        ("1 file is no model and was left out (.md 1)",)
+    }
+    assert expanded(["fa", "fb"]).notes == ("2 files are no models and were left out (.md 2)",)
+    caches = [build([each], f"{i}.svp.h5").cache for i, each in enumerate(("fa", "./fa/", "fb"))]
+    assert len({cache.content_digest for cache in caches}) == 1
 
 
 def test_what_might_not_end_is_not_followed(folder: Path) -> None:
@@ -140,6 +155,14 @@ def test_each_file_stays_its_own_source(folder: Path) -> None:
     assert [s.path for s in mesh.sources] == ["city/a.obj.gz", "city/b.obj", "city/a/z.OBJ"]
     assert mesh.object_names == ("a", "b", "z")
     assert mesh.object_source.tolist() == [0, 1, 2]
+
+
+def test_notes_tell_files_of_one_name_apart(folder: Path) -> None:
+    (folder / "a/b.obj").write_bytes(TRIANGLE)
+    mesh = read(["city/b.obj", "city/a/b.obj", "city/a/z.OBJ"], options=ReadOptions(lod="2"))
+    assert mesh.notes[0].startswith("3 files (city/b.obj, ...): this format (obj)")
+    mesh = read(["city/b.obj", "city/a/b.obj"], options=ReadOptions(crs="EPSG:28992"))
+    assert {note.partition(":")[0] for note in mesh.notes} == {"2 files (city/b.obj, ...)"}
 
 
 @pytest.mark.parametrize(
@@ -224,3 +247,25 @@ def test_notes_of_many_files_are_said_once() -> None:
         "3.glb: in EPSG:1",
         "4.glb: in EPSG:2",
     )
+
+
+@pytest.mark.parametrize(
+    ("notes", "merged"),
+    [
+        (
+            ["3 left out by --x (A 2, B 1)", "4 left out by --x (B 4)"],
+            "7 left out by --x (B 5, A 2)",
+        ),
+        (
+            ["2 left out by --x (A 2): so", "1 left out by --x (+B 1): so"],
+            "3 left out by --x (A 2, +B 1): so",
+        ),
+        (["3 left out by --x (A 3)", "4 left out by --x (A 1, ... (4))"], "7 left out by --x"),
+        (["9 left out by --x (A 8, ... (2))"] * 2, "18 left out by --x"),
+        (["1 unknown (line 1)", "1 unknown (line 1)"], "2 unknown (line 1)"),  # no breakdown
+        (["2 unknown (line 2)", "3 unknown (line 9)"], "5 unknown (first: line 2)"),
+    ],
+)
+def test_breakdowns_of_counts_are_summed(notes: list[str], merged: str) -> None:
+    named = [(f"{i}.gml", note) for i, note in enumerate(notes)]
+    assert merged_notes(named) == (f"2 files (0.gml, ...): {merged}",)

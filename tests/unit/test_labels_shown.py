@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from svprep import cli, report
+from svprep import cli, cli_export, report
 from svprep.cache.reader import open_cache
 from svprep.cache.writer import write_cache
 from svprep.cli_build import build_lines, crs_name, info_lines
@@ -66,6 +66,20 @@ def test_what_is_not_stated_takes_no_line() -> None:
     assert crs_name("+proj=tmerc") == "+proj=tmerc"
 
 
+def test_wkt_is_shown_by_its_name_alone() -> None:
+    wkt = 'PROJCRS["local",BASEGEOGCRS["x"]]'
+    sample = strip_and_tetrahedron()
+    sources = tuple(replace(source, crs=wkt) for source in sample.sources)
+    summary = told(replace(sample, sources=sources, place=Place(wkt, 52.0, 4.0, 0.0)))
+    assert summary["sources"][0]["crs"] == wkt
+    lines = info_lines(summary)
+    assert not [line for line in lines if "BASEGEOGCRS" in line]
+    assert [line for line in lines if line.startswith("source") and line.endswith("CRS local)")]
+    exported = cli_export.run(Path("a.svp.h5"), "a.obj")
+    assert exported["crs"] == wkt
+    assert "crs      local" in cli_export.summary_lines(exported)
+
+
 def test_very_many_sources_and_notes_stay_readable() -> None:
     sample = strip_and_tetrahedron()
     sources = tuple(SourceFile(f"{i}.gml", "citygml", 10**6, "ab", "EPSG:1") for i in range(3000))
@@ -117,6 +131,8 @@ def test_a_building_is_named_by_its_id_even_without_a_surface() -> None:
         assert objects_named(cache, ("roof", tetrahedron)).tolist() == [0, 1]
         with pytest.raises(InputError, match="close to it: 'Haus 7'"):
             objects_named(cache, ("haus 7",))
+        with pytest.raises(InputError, match="it is a type, and --objects asks for names here"):
+            objects_named(cache, ("buildingpart",))
     chained = replace(sample.labels, object_parents=("Haus 7", "roof"))
     write_cache(replace(sample, labels=chained), "b.svp.h5")
     with open_cache("b.svp.h5") as cache:

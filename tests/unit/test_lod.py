@@ -53,6 +53,18 @@ def test_footprints_are_left_out_and_named():
     assert lods((-1, B, ["0"]), (-1, B, ["0", "1"]), lod="0") == ["0", "0"]
 
 
+def test_a_level_by_name_doubles_nothing():
+    choice = choose((-1, B, ["2"]), (0, P, ["2.2"]), (-1, B, ["2"]), lod="2")
+    assert list(choice.lods) == [None, "2.2", "2"]
+    assert choice.n_doubled == 1
+
+
+def test_names_of_levels_with_letters():
+    assert lods((-1, B, ["LOD1", "lod2"])) == ["lod2"]
+    assert lods((-1, B, ["LoD 1.3", "2.2+"])) == ["LoD 1.3"]
+    assert lods((-1, B, ["LOD1", "LOD2"]), lod="1") == ["LOD1"]
+
+
 def test_a_building_is_not_doubled_by_its_parts():
     choice = choose((-1, B, ["1", "2"]), (0, P, ["1", "2.2"]), (0, P, ["2.2"]))
     assert list(choice.lods) == [None, "2.2", "2.2"]
@@ -87,7 +99,7 @@ def test_installations_take_the_level_of_their_building():
 def test_a_named_level():
     objects = [(-1, B, ["1", "2"]), (0, P, ["2.2", "2.1"]), (-1, "Road", ["1"]), (-1, B, [])]
     choice = choose(*objects, lod="2")
-    assert list(choice.lods) == ["2", "2.2", None, None]
+    assert list(choice.lods) == [None, "2.2", None, None]
     assert choice.notes(list("abcd"), "2") == ("1 object without LoD 2 left out: c",)
     assert lods(*objects, lod="2.1") == [None, "2.1", None, None]
     assert lods(*objects, lod="2.0") == ["2", "2.2", None, None]
