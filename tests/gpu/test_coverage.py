@@ -1,0 +1,76 @@
+"""Which face each pixel sees: the one that float64 finds at its centre, not the rasteriser's.
+
+Random triangles, most of them slivers a thousandth to a tenth of a pixel wide, some reaching
+behind the eye: a rasteriser that moves corners to 1/256 of a pixel draws many of them where
+they are not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svprep.model import Mesh
+from svprep_runtime.camera import Camera
+from svprep_runtime.frame import Settings
+from tests.gpu.scenes import Stage, built, camera_of, light_of, rays_of
+from tests.property.meshes import source_mesh
+
+SURE_PX = 1e-4
+EYE, TARGET = (0.0, -20.0, 3.0), (0.0, 0.0, 1.0)
+
+
+def slivers(seed: int, n: int = 400) -> np.ndarray:
+    """Return ``(n, 3, 3)`` corners, some of them behind an eye at `EYE`."""
+    rng = np.random.default_rng(seed)
+    a = rng.uniform((-9, -12, -6), (9, 9, 9), (n, 3))
+    b = a + rng.normal(0.0, 6.0, (n, 3))
+    b[::5] = a[::5] + rng.uniform((-3, -60, -3), (3, -20, 3), (len(a[::5]), 3))
+    along = rng.uniform(-0.2, 1.2, (n, 1))
+    width = 10.0 ** rng.uniform(-3.0, 0.0, (n, 1))
+    c = a + along * (b - a) + width * rng.normal(0.0, 0.5, (n, 3))
+    return np.stack([a, b, c], axis=1)
+
+
+def seen_in_float64(mesh: Mesh, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nearest face at each pixel's centre, -1 for none, and where that is sure."""
+    eye, rays = rays_of(camera)
+    shape, flat = rays.shape[:2], rays.reshape(-1, 3)
+    pixel = np.linalg.norm(rays[0, 1] - rays[0, 0])
+    nearest, face = np.full(len(flat), np.inf), np.full(len(flat), -1)
+    is_sure = np.ones(len(flat), bool)
+    for i, corners in enumerate(mesh.positions[mesh.faces].astype(float) - eye):
+        volume = corners[0] @ np.cross(corners[1], corners[2])
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = (normal @ corners[0]) / (flat @ normal)
+        inside = np.full(len(flat), np.inf)
+        for k in range(3):
+            edge = np.sign(volume) * np.cross(corners[k], corners[(k + 1) % 3])
+            across = np.linalg.norm(edge - (edge @ camera.forward) * camera.forward)
+            inside = np.minimum(inside, flat @ edge / (across * pixel))
+        is_before = depth > camera.near_m
+        is_sure &= ~((np.abs(inside) < SURE_PX) & (depth > 0.5 * camera.near_m))
+        is_sure &= ~((inside > 0) & (np.abs(depth - nearest) < 1e-5 * depth))
+        is_nearer = (inside > 0) & is_before & (depth < nearest)
+        nearest[is_nearer], face[is_nearer] = depth[is_nearer], i
+    return face.reshape(shape), is_sure.reshape(shape)
+
+
+@pytest.mark.parametrize("construction", ["vertex", "geometry"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_face_at_the_centre_is_seen(stage: Stage, seed: int, construction: str) -> None:
+    soup = slivers(seed)
+    prepared = built(source_mesh(soup, np.arange(3 * len(soup)).reshape(-1, 3)))
+    camera = camera_of(prepared, EYE, TARGET, near_m=0.05)
+    expected, is_sure = seen_in_float64(prepared.mesh, camera)
+    with stage.scene(prepared) as scene:
+        light = light_of(prepared, "dir:130,40")
+        settings = Settings(construction=construction)
+        stage.draw(scene, camera, [light], settings)
+        seen = stage.targets(camera.width_px, camera.height_px).read_seen()
+    found = (seen & 0x7FFFFFFF).astype(np.int64) - 1
+    assert is_sure.mean() > 0.95
+    assert len(np.unique(expected)) > 100
+    wrong = is_sure & (found != expected)
+    assert not wrong.any(), f"{wrong.sum()} of {is_sure.sum()}, first {np.argwhere(wrong)[0]}"
