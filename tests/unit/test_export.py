@@ -193,9 +193,9 @@ def test_types_that_cityjson_does_not_have(tmp_path: Path) -> None:
     [
         ("EPSG:7415", "/EPSG/0/7415", []),
         (
-            "EPSG:31468+5783",
-            "-compound?1=https://www.opengis.net/def/crs/EPSG/0/31468"
-            "&2=https://www.opengis.net/def/crs/EPSG/0/5783",
+            "EPSG:28992+5709",
+            "-compound?1=https://www.opengis.net/def/crs/EPSG/0/28992"
+            "&2=https://www.opengis.net/def/crs/EPSG/0/5709",
             [],
         ),
         ('PROJCRS["local frame at 48.137, 11.575"]', None, ["crs"]),

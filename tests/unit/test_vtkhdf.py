@@ -87,6 +87,28 @@ def test_vtk_reads_a_city(city: Path) -> None:
     assert_shown(city)
 
 
+def test_surfaces_are_coloured_as_the_documents_say(tmp_path: Path) -> None:
+    vtk = pytest.importorskip("vtk", reason="VTK, which reads the group, is not installed")
+    write_cache(strip_and_tetrahedron(), tmp_path / "a.svp.h5")
+    reader = vtk.vtkHDFReader()
+    reader.SetFileName(str(tmp_path / "a.svp.h5"))
+    reader.Update()
+    mapper = vtk.vtkPolyDataMapper()
+    mapper.SetInputData(reader.GetOutput())
+    mapper.SetScalarModeToUseCellFieldData()
+    mapper.SelectColorArray("surface")
+    mapper.SetScalarRange(0, 1)
+    taken_for_colours = mapper.MapScalars(1.0)
+    assert set(taken_for_colours.GetTuple(0)[:3]) == {1.0}  # as good as black
+    mapper.SetColorModeToMapScalars()
+    colours = mapper.MapScalars(1.0)
+    roof, wall = (colours.GetTuple(face)[:3] for face in (0, 5))
+    assert max(roof) == max(wall) == 255.0
+    assert roof != wall
+    for document in ("README.md", "FORMAT.md"):
+        assert "SetColorModeToMapScalars()" in (ROOT / document).read_text("utf-8")
+
+
 def test_lights_keep_it(city: Path, tmp_path: Path) -> None:
     path = Path(shutil.copy(city, tmp_path / "lit.svp.h5"))
     add_lights(path, ["dir:135,40"])
