@@ -17,19 +17,18 @@ from shadow_judging.code_digest import code_digest
 from silhouette_benchmark.datasets import (
     ROOT,
     SHARED,
-    SUFFIXES,
     BuildFailed,
     MissingDataset,
     provide,
 )
 from svprep.cache.reader import open_cache
 from svprep.errors import SvprepError
+from svprep.ingest.inputs import MODEL_SUFFIXES
 from svprep.pipeline import add_lights, build
 
 CITIES: Final = SHARED / "cities"
 CONFORMANCE: Final = ROOT / "data" / "conformance"
 SAMPLE: Final = "small_city"
-_MODELS: Final = (*SUFFIXES, ".json", ".gml", ".xml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +66,14 @@ def sources(names: Sequence[str]) -> tuple[list[Source], list[LeftOut]]:
     A name is that of a report's row, its file name without suffixes, the path of a model, or
     ``conformance``.
     """
-    cities, unreadable = _cities()
+    cities, absent = _cities()
     conformance = [
         Source(f"conformance/{path.name}", str(path), True)
         for path in sorted(CONFORMANCE.glob("*.obj"))
     ]
     every = [Source(f"{SAMPLE}.obj.gz", SAMPLE), *cities, *conformance]
     if not names:
-        return every, unreadable
+        return every, absent
     chosen: list[Source] = []
     left_out: list[LeftOut] = []
     for name in names:
@@ -83,8 +82,7 @@ def sources(names: Sequence[str]) -> tuple[list[Source], list[LeftOut]]:
             found = [Source(Path(name).name, name)]
         chosen += found
         if not found:
-            of_it = [one for one in unreadable if name in (one.name, _stem(one.name))]
-            left_out += of_it or [LeftOut(name, "absent: there is no such model here")]
+            left_out.append(LeftOut(name, "absent: there is no such model here"))
     return list(dict.fromkeys(chosen)), left_out
 
 
@@ -124,19 +122,15 @@ def with_lights(ready: Ready, specs: Sequence[str], work: Path) -> Path:
 
 
 def _cities() -> tuple[list[Source], list[LeftOut]]:
-    """Return the models beside the checkout, and those that no reader reads."""
+    """Return the models beside the checkout, or that there are none."""
     if not CITIES.is_dir():
         return [], [LeftOut("shared/data/cities", "absent: no real models beside the checkout")]
-    found, unreadable = [], []
-    for path in sorted(CITIES.rglob("*")):
-        name = path.relative_to(CITIES).as_posix()
-        plain = path.name.removesuffix(".gz")
-        if plain.endswith(SUFFIXES):
-            found.append(Source(name, str(path)))
-        elif plain.endswith(_MODELS) and plain != "tileset.json":
-            kind = "CityJSON" if plain.endswith(".json") else "CityGML"
-            unreadable.append(LeftOut(name, f"{kind} is not read yet"))
-    return found, unreadable
+    found = [
+        Source(path.relative_to(CITIES).as_posix(), str(path))
+        for path in sorted(CITIES.rglob("*"))
+        if path.name.removesuffix(".gz").endswith(MODEL_SUFFIXES) and path.name != "tileset.json"
+    ]
+    return found, []
 
 
 def _is(source: Source, name: str) -> bool:

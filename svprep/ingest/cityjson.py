@@ -29,12 +29,13 @@ from typing import Any, Final
 import numpy as np
 
 from svprep.errors import InputError, first_few
+from svprep.ingest.cityjson_axes import is_north_first
 from svprep.ingest.cityjson_geometry import NO_SURFACE, MalformedError
 from svprep.ingest.cityjson_objects import Objects, lod_of
 from svprep.ingest.cityjson_polygons import Polygons, chosen_polygons
 from svprep.ingest.cityjson_text import Span, Text
 from svprep.ingest.crs_given import crs_in_use
-from svprep.ingest.crs_names import crs_of, has_pyproj, needs_swap, normalised_crs, proportional
+from svprep.ingest.crs_names import proportional
 from svprep.ingest.holes import triangulate_rings
 from svprep.ingest.lod import choose_lods
 from svprep.ingest.options import ReadOptions
@@ -73,7 +74,7 @@ def read_cityjson(
     O(n). Beside the text: 24 bytes per vertex, 4 per corner, and the trees of a megabyte of
     objects.
     """
-    reading = _Reading(Text(data, path), Objects(path))
+    reading = _Reading(Text(data, path), Objects(path, data.size))
     with (
         _without_collector(),
         np.errstate(over="ignore", invalid="ignore"),
@@ -255,9 +256,11 @@ def _parsed(reading: _Reading, positions: F64, options: ReadOptions) -> ParsedFi
     objects, path = reading.objects, reading.path
     choice = choose_lods(objects.parent, objects.types, objects.lods, options.lod, path)
     notes = [*reading.notes, *_notes(objects), *choice.notes(objects.names, options.lod)]
+    crs = crs_in_use(reading.crs, options.crs)
     positions, polygons = chosen_polygons(
         objects,
         choice,
+        crs,
         positions,
         np.array(reading.first_vertex, np.int64),
         np.array(reading.first_corner, np.int64),
@@ -268,7 +271,6 @@ def _parsed(reading: _Reading, positions: F64, options: ReadOptions) -> ParsedFi
             f"{path}: no surface in {n}, so nothing that casts a shadow"
             + (f" ({'; '.join(notes)})." if notes else ".")
         )
-    crs = crs_in_use(reading.crs, options.crs)
     positions, swapped = _east_first(positions, polygons, crs)
     faces, source_face, finding = triangulate_rings(
         proportional(positions, crs),
@@ -308,15 +310,9 @@ def _findings(finding: Any, object_of_polygon: I64) -> FaceFindings:
 
 def _east_first(positions: F64, polygons: Polygons, crs: str) -> tuple[F64, tuple[str, ...]]:
     """Return positions whose x is to the east, and a note if they had to be swapped."""
-    known = crs_of(crs) if crs and has_pyproj() else None
-    if known is None:
-        return positions, ()
     is_used = np.zeros(len(positions), np.bool_)
     is_used[polygons.corners] = True
-    used = positions[is_used]
-    # Of projected coordinates the name decides nothing: writers put the easting first.
-    name = crs if known.is_geographic else normalised_crs(crs)
-    if not needs_swap(name, np.stack([used.min(axis=0), used.max(axis=0)])):
+    if not is_north_first(positions[is_used], crs):
         return positions, ()
     return np.ascontiguousarray(positions[:, [1, 0, 2]]), (
         f"the first two coordinates were swapped, so that x is to the east ({shown(crs)})",

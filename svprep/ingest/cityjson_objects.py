@@ -53,6 +53,8 @@ class Objects:
     """Every object and geometry so far, in the order of the file."""
 
     path: Path
+    n_bytes: int
+    """Of the file."""
     templates: Templates = field(default_factory=Templates)
     surface_names: SurfaceNames = field(default_factory=SurfaceNames)
     surfaces: Surfaces = field(default_factory=Surfaces)

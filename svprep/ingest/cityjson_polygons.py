@@ -28,12 +28,19 @@ class Polygons:
 
 
 def chosen_polygons(
-    objects: Objects, choice: LodChoice, positions: F64, first_vertex: I64, first_corner: I64
+    objects: Objects,
+    choice: LodChoice,
+    crs: str,
+    positions: F64,
+    first_vertex: I64,
+    first_corner: I64,
 ) -> tuple[F64, Polygons]:
     """Return the positions with those of instances behind them, and the polygons to build.
 
     Parameters
     ----------
+    crs
+        Of the positions.
     positions : (n_vertices, 3) float64
     first_vertex, first_corner : (n_documents + 1,) int64
         Corners of a document count from its first vertex.
@@ -51,7 +58,7 @@ def chosen_polygons(
 
     placed: list[Instance] = [i for i in objects.instances if is_chosen[i.geometry]]
     if placed:
-        more = objects.templates.placed(placed, positions, objects.path)
+        more = objects.templates.placed(placed, positions, crs, objects.n_bytes, objects.path)
         corners = np.concatenate([corners, more.corners + np.uint32(len(positions))])
         positions = np.concatenate([positions, more.positions])
         ring_size = np.concatenate([ring_size, more.ring_size])

@@ -1,7 +1,8 @@
 """Geometry templates of CityJSON: a shape stored once and placed by a matrix each time.
 
 An instance stands at ``matrix (x, y, z, 1) + vertex``: the template's vertices, in metres and
-untransformed, turned, scaled and moved by the matrix, about one vertex of the file.
+untransformed, turned, scaled and moved by the matrix, about one vertex of the file. Where that
+vertex is in degrees, the metres become degrees of the ellipsoid there, as in CityGML.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from svprep.errors import InputError
+from svprep.ingest.citygml_places import place
+from svprep.ingest.cityjson_axes import is_in_degrees, is_north_first
 from svprep.ingest.cityjson_geometry import (
     DEPTH,
     NO_SURFACE,
@@ -25,8 +28,10 @@ from svprep.ingest.cityjson_geometry import (
 from svprep.ingest.parsed import refuse_non_finite, shown
 from svprep.model import F64, I64, U8, U32
 
-_MOST_CORNERS: Final = 1 << 27
-"""Of all instances together: more is no city, but a small file that asks for gigabytes."""
+# Corners of all instances together: more is no city, but a small file that asks for gigabytes.
+_ALWAYS_PLACED: Final = 5_000_000
+_MOST_PER_BYTE: Final = 4  # as many more for every byte of the file; an instance takes a hundred
+_MOST_PLACED: Final = 1 << 27
 
 
 class Instance(NamedTuple):
@@ -123,15 +128,26 @@ class Templates:
             )
         return Instance(number, template, vertex, tuple(m / matrix[15] for m in matrix))
 
-    def placed(self, instances: list[Instance], positions: F64, path: Path) -> PlacedSurfaces:
+    def placed(
+        self, instances: list[Instance], positions: F64, crs: str, n_bytes: int, path: Path
+    ) -> PlacedSurfaces:
         """Return the polygons of instances, template by template.
 
         Parameters
         ----------
         instances
             Their vertices index `positions`.
+        crs
+            Of the positions.
+        n_bytes
+            Of the file.
         path
             For messages.
+
+        Raises
+        ------
+        InputError
+            More corners than a file of that size asks for.
         """
         n_corners = np.concatenate([[0], np.cumsum(np.array(self.surfaces.ring_size, np.int64))])
         ring_start = np.concatenate([[0], np.cumsum(np.array(self.surfaces.n_rings, np.int64))])
@@ -142,11 +158,16 @@ class Templates:
         total = sum(
             len(uses) * int(np.diff(corner_of_template)[t]) for t, uses in by_template.items()
         )
-        if total > _MOST_CORNERS:
+        most = min(_ALWAYS_PLACED + _MOST_PER_BYTE * n_bytes, _MOST_PLACED)
+        if total > most:
             raise InputError(
                 f"{path}: {len(instances)} instances of geometry templates have {total} corners; "
-                f"{_MOST_CORNERS} are read. Split the file."
+                f"of a file of {n_bytes} bytes at most {most} are read. Split the file, or "
+                "simplify its templates."
             )
+        stands = positions[[instance.vertex for instance in instances]]
+        xyz = [1, 0, 2] if is_north_first(stands, crs) else [0, 1, 2]
+        in_degrees = is_in_degrees(crs)
         parts = []
         first_vertex = 0
         for t, uses in by_template.items():
@@ -157,14 +178,19 @@ class Templates:
             )
             used, local = np.unique(corners, return_inverse=True)
             matrices = np.array([use.matrix for use in uses]).reshape(-1, 4, 4)
-            at = positions[[use.vertex for use in uses]] + matrices[:, :3, 3]
-            points = self.vertices[used] @ matrices[:, :3, :3].transpose(0, 2, 1) + at[:, None]
+            points = place(
+                np.tile(self.vertices[used], (len(uses), 1)),
+                np.repeat(np.arange(len(uses)), used.size),
+                matrices[:, :3],
+                positions[[use.vertex for use in uses]][:, xyz],
+                in_degrees=in_degrees,
+            )
             first = first_vertex + np.arange(len(uses))[:, None] * used.size
             first_vertex += len(uses) * used.size
             n = len(uses)
             parts.append(
                 PlacedSurfaces(
-                    points.reshape(-1, 3),
+                    points[:, xyz],
                     (local.ravel() + first).ravel().astype(np.uint32),
                     np.tile(np.array(self.surfaces.ring_size[rings], np.uint32), n),
                     np.tile(np.array(self.surfaces.n_rings[polygons], np.uint32), n),

@@ -96,7 +96,7 @@ def read_content(
     """
     try:
         tree, binary = split(text, path)
-        buffers = Buffers(tree, binary, path, locate)
+        buffers = Buffers(tree, binary, path, locate, len(text))
         refuse_unread(tree, path)
         root = np.eye(4) if frame is None else frame
         if (center := rtc_center(tree, path)) is not None:
@@ -200,6 +200,7 @@ class _Gltf:
             if surface is None:
                 continue
             points, triangles, feature, chosen = surface
+            self.gathered.count_triangles(len(owners) * len(triangles), self.buffers.n_bytes)
             objects = self._objects(owners, feature, chosen, len(triangles))
             is_of_node &= chosen is None or chosen.table is None
             named = _text(_extras(primitive).get("surface"))
@@ -218,6 +219,8 @@ class _Gltf:
         if INSTANCING not in extensions:
             return world[None], [owner]
         attributes = extensions[INSTANCING].get("attributes", {})
+        counts = [self.buffers.described(index)["count"] for index in attributes.values()]
+        self.gathered.count_instances(max(map(natural, counts), default=0), self.buffers.n_bytes)
         matrices = world @ instance_matrices(attributes, self.buffers.accessor)
         n = len(matrices)
         ids = extensions.get("EXT_instance_features", {}).get("featureIds", [])

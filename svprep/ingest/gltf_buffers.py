@@ -30,7 +30,9 @@ _BIN_CHUNK: Final = 0x004E4942
 _DTYPES: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 INDEX_TYPES: Final = (5121, 5123, 5125)
-_MOST_ZEROS: Final = 1 << 24  # bytes of a sparse accessor that has no values of its own
+# Bytes of a sparse accessor that has no values of its own.
+_ALWAYS_ZEROS: Final = 1 << 20
+_MOST_ZEROS_PER_BYTE: Final = 4  # and as many more for every byte of the file
 
 
 def split(text: bytes | memoryview, path: Path) -> tuple[dict[str, Any], bytes | memoryview | None]:
@@ -83,10 +85,12 @@ class Buffers:
         binary: bytes | memoryview | None,
         path: Path,
         locate: Locate | None = None,
+        n_bytes: int = 0,
     ) -> None:
         self.tree = tree
         self.path = path
         self._binary = binary
+        self._n_bytes = n_bytes  # of the file itself
         self._locate = locate or (lambda uri: path.parent / unquote(uri))
         self._buffers: dict[int, bytes | memoryview] = {}
         self._beside: set[int] = set()  # buffers that are files of their own
@@ -95,6 +99,11 @@ class Buffers:
     def beside(self) -> tuple[bytes, ...]:
         """What was read from files beside this one."""
         return tuple(bytes(self._buffers[i]) for i in sorted(self._beside))
+
+    @property
+    def n_bytes(self) -> int:
+        """How much was read so far, of this file and of those beside it."""
+        return self._n_bytes + sum(len(self._buffers[i]) for i in self._beside)
 
     def described(self, index: int) -> dict[str, Any]:
         """Return what the JSON says of an accessor."""
@@ -111,8 +120,11 @@ class Buffers:
             values = self._values(accessor, dtype, width, count, what)
         elif "sparse" not in accessor:
             raise InputError(f"{self.path}: {what} has no bufferView, so no values.")
-        elif count * width * dtype.itemsize > _MOST_ZEROS:
-            raise InputError(f"{self.path}: {what} is sparse and announces {count} rows of zeros.")
+        elif count * width * dtype.itemsize > _ALWAYS_ZEROS + _MOST_ZEROS_PER_BYTE * self.n_bytes:
+            raise InputError(
+                f"{self.path}: {what} is sparse and announces {count} rows of zeros, but the file "
+                f"has {self.n_bytes} bytes; it is damaged, or a bomb."
+            )
         else:
             values = np.zeros((count, width), dtype)
         if "sparse" in accessor:

@@ -15,6 +15,10 @@ from svprep.model import F64, I64, U32
 
 MOST_TRIANGLES: Final = 715_000_000
 """Three times as many corners stay below 2**31."""
+# What a file may unfold to, placed as often as its nodes and instances say.
+_ALWAYS_PLACED: Final = 5_000_000  # triangles
+_MOST_PER_BYTE: Final = 10  # as many more for every byte of the file
+_ALWAYS_INSTANCES: Final = 1_000_000  # each is an object; and one more for every byte
 _MOST_SURFACE_NAMES: Final = 256
 _MOST_WAITING: Final = 1 << 20  # vertices
 _OTHER_SURFACE: Final = "other"
@@ -35,6 +39,7 @@ class Gathered:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.n_faces = 0
+        self._n_instances = 0
         self._n_vertices = 0
         self._positions: list[F64] = [np.empty((0, 3))]
         self._faces: list[U32] = [np.empty((0, 3), np.uint32)]
@@ -67,6 +72,26 @@ class Gathered:
         """Return the number of an object that was met, or -1."""
         return self._number.get(key, -1)
 
+    def count_instances(self, n: int, n_bytes: int) -> None:
+        """Raise `InputError` if with `n` more there are too many for a file of `n_bytes`."""
+        self._n_instances += n
+        self._refuse_above(
+            self._n_instances, _ALWAYS_INSTANCES + n_bytes, "instances of nodes", n_bytes
+        )
+
+    def count_triangles(self, n: int, n_bytes: int) -> None:
+        """Raise `InputError` if with `n` more there are too many for a file of `n_bytes`."""
+        most = min(_ALWAYS_PLACED + _MOST_PER_BYTE * n_bytes, MOST_TRIANGLES)
+        self._refuse_above(self.n_faces + n, most, "triangles", n_bytes)
+
+    def _refuse_above(self, n: int, most: int, kind: str, n_bytes: int) -> None:
+        if n > most:
+            raise InputError(
+                f"{self.path}: it unfolds to {n} {kind} or more, as often as its meshes are "
+                f"placed; of {n_bytes} bytes at most {most} are read. Split the file, or write "
+                "out what it repeats."
+            )
+
     def add(
         self, points: F64, triangles: I64, matrices: F64, objects: I64, surface: str, what: str
     ) -> None:
@@ -84,11 +109,6 @@ class Gathered:
             Its name for a message.
         """
         n_new = len(matrices) * len(triangles)
-        if self.n_faces + n_new > MOST_TRIANGLES:
-            raise InputError(
-                f"{self.path}: more than {MOST_TRIANGLES} triangles, as often as its meshes are "
-                "placed; split the file."
-            )
         is_together = len(matrices) == 1 and np.array_equal(matrices, self._matrices)
         if not is_together or self._n_waiting > _MOST_WAITING:
             self._place()

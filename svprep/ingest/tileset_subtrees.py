@@ -24,6 +24,7 @@ from svprep.ingest.tileset_files import TilesetFiles
 from svprep.model import BOOL, I64
 
 _MOST_BITS: Final = 1 << 22  # of one subtree: 11 levels of a quadtree
+_MOST_BITS_IN_ALL: Final = 1 << 29  # of all subtrees of a tileset, of every kind
 _MOST_SUBTREES: Final = 1 << 15
 _DIMENSIONS: Final = {"QUADTREE": 2, "OCTREE": 3}
 
@@ -42,6 +43,22 @@ class Tiling:
     def n_children(self) -> int:
         """Of a tile."""
         return 1 << self.n_dimensions
+
+
+@dataclass(slots=True)
+class BitCount:
+    """How many bits of availability a tileset had so far."""
+
+    n_bits: int = 0
+
+    def add(self, n: int, base: Path) -> None:
+        """Raise `InputError` if with `n` more there are more than of any city."""
+        self.n_bits += n
+        if self.n_bits > _MOST_BITS_IN_ALL:
+            raise InputError(
+                f"{base}: its subtrees have more than {_MOST_BITS_IN_ALL} bits of availability; "
+                "name a part of it."
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +112,7 @@ def tiling_of(tile: dict[str, Any], path: Path) -> Tiling | None:
 
 
 def implicit_tiles(
-    tiling: Tiling, n_contents: int, files: TilesetFiles, base: Path
+    tiling: Tiling, n_contents: int, files: TilesetFiles, base: Path, count: BitCount
 ) -> Iterator[ImplicitTile]:
     """Yield the tiles that there are, parents first.
 
@@ -105,12 +122,28 @@ def implicit_tiles(
         How many contents the template has.
     base
         The tileset that names the subtrees.
+    count
+        Of the whole tileset; what is read here is added.
+
+    Raises
+    ------
+    InputError
+        Two subtrees are one file, or there are more bits in all than of any city.
     """
     n_subtrees = 1
+    bits_of_each = (2 + n_contents) * _first_bit(tiling, tiling.subtree_levels)
+    seen: set[Path] = set()
     stack: list[tuple[int, tuple[int, ...]]] = [(0, (0,) * tiling.n_dimensions)]
     while stack:
         level, root = stack.pop()
         path = files.locate(_filled(tiling.template, level, root), base)
+        if path in seen:
+            raise InputError(
+                f"{base}: two of its subtrees are the same file, {shown(path)}; each has its own, "
+                "named by level and coordinates."
+            )
+        seen.add(path)
+        count.add(bits_of_each, base)
         subtree = _Subtree(files, path, base)
         yield from _tiles_of(subtree, tiling, n_contents, level, root)
         below = level + tiling.subtree_levels

@@ -18,7 +18,7 @@ from svprep.errors import InputError, first_few
 from svprep.ingest.gltf_frame import composed
 from svprep.ingest.parsed import count_of, shown
 from svprep.ingest.tileset_files import TilesetFiles
-from svprep.ingest.tileset_subtrees import Tiling, implicit_tiles, tiling_of
+from svprep.ingest.tileset_subtrees import BitCount, Tiling, implicit_tiles, tiling_of
 from svprep.model import F64
 
 NO_PARENT: Final = -1
@@ -123,6 +123,7 @@ class _Walk:
     def __init__(self, files: TilesetFiles) -> None:
         self.files = files
         self.tiles: list[Tile] = []
+        self.bit_count = BitCount()
         self.n_tilesets = 0
         self.has_region = False
 
@@ -235,7 +236,7 @@ class _Walk:
         """List the tiles of a tile that is divided implicitly; each of them is placed like it."""
         texts = list(map(str, templates))
         listed: dict[tuple[int, tuple[int, ...]], int] = {}
-        for tile in implicit_tiles(tiling, len(texts), self.files, document.path):
+        for tile in implicit_tiles(tiling, len(texts), self.files, document.path, self.bit_count):
             uris = [tile.fill(texts[i]) for i in tile.contents]
             paths = tuple(self.files.locate(uri, document.path) for uri in uris)
             if any(map(self._is_tileset, paths)):

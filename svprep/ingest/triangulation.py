@@ -7,6 +7,8 @@ clippers do, would put T-junctions between neighbouring faces and so open closed
     triangle                 as it is
     strictly convex ring     a fan from its first corner (NumPy)
     any other ring           ear clipping, best shape first (compiled when first needed)
+    more than LARGE_RING     mapbox-earcut
+    more than MOST_EARCUT    ear clipping, any ear first, and no more work than is in proportion
 
 All of it happens relative to the ring's first corner and in the coordinate plane that
 the ring's Newell normal (Sutherland, Sproull, Schumacker 1974) is steepest to:
@@ -22,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.defects import Code
-from svprep.kernels.triangulate import clip_rings
+from svprep.kernels.triangulate import clip_large_ring, clip_rings
 from svprep.model import BOOL, F64, I64, U32
 
 _SHORT: Final = int(Code.SHORT_POLYGON)
@@ -30,7 +32,12 @@ _NONPLANAR: Final = int(Code.NONPLANAR_POLYGON)
 _CROSSING: Final = int(Code.SELF_CROSSING_POLYGON)
 
 LARGE_RING: Final = 2000
-"""Rings of more corners go to mapbox-earcut: ear clipping costs O(n^2)."""
+"""Rings of more corners go to mapbox-earcut: clipping the best ears costs O(n^2)."""
+MOST_EARCUT: Final = 5000
+"""Of more it may take O(n^3): a minute for a ring of 20,000 corners that winds or crosses
+itself."""
+_STEPS_PER_CORNER: Final = 10_000
+_AXES: Final = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, -1.0))
 _BATCH: Final = 1 << 16  # corners that are classified at a time
 
 _FLATNESS = 1e-3  # of the diameter: farther from the plane is D106
@@ -73,7 +80,11 @@ def triangulate(positions: F64, corners: U32, polygon_start: I64) -> Triangulati
     touches itself has no unique inside: it gives n - 2 triangles all the same, some of
     which overlap. A ring without area is fanned.
 
-    O(n) for convex rings, O(n^2) for others of up to `LARGE_RING` corners.
+    O(n) for convex rings, O(n^2) for others of up to `LARGE_RING` corners, O(n^3) at worst up
+    to `MOST_EARCUT`. Of larger ones each corner may cost 10,000 steps, some 30 us: an outline
+    of 100,000 corners takes well below a second as a rule, and seconds at worst. Where that is
+    not enough, or the ring crosses itself, what remains of it is fanned:
+    `SELF_CROSSING_POLYGON`.
     """
     size = np.diff(polygon_start)
     finding = np.zeros(size.size, np.uint16)
@@ -227,20 +238,57 @@ def _following(values: F64) -> F64:
 def _triangulate_large(plane: F64) -> tuple[I64, int]:
     """Return the n - 2 triangles of a ring of very many corners, and its finding.
 
-    mapbox-earcut leaves out corners on straight edges and repeated ones; they are put
-    back by splitting the triangle on that edge. Where its triangles do not fill the ring
-    (it crosses itself), the finding says so; where they do not fit it, it is fanned.
-
     Parameters
     ----------
     plane : (n, 2) float64
         The ring, counter-clockwise.
     """
+    following = np.roll(plane, -1, axis=0)
+    area2 = (plane[:, 0] * following[:, 1] - plane[:, 1] * following[:, 0]).sum()
+    n = len(plane)
+    triangles, is_right = _by_earcut(plane) if n <= MOST_EARCUT else _by_any_ear(plane)
+    if not is_right:
+        return triangles, _CROSSING
+    ab = plane[triangles[:, 1]] - plane[triangles[:, 0]]
+    ac = plane[triangles[:, 2]] - plane[triangles[:, 0]]
+    found = np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]).sum()
+    return triangles, 0 if abs(found - area2) <= 1e-9 * area2 else _CROSSING
+
+
+def _by_any_ear(plane: F64) -> tuple[I64, bool]:
+    """Clip ears in whatever order is quick; say whether that came to an end.
+
+    Corners are looked for along the one of four axes that edges extend least along.
+    """
+    n = len(plane)
+    edges = np.roll(plane, -1, axis=0) - plane
+    _, axis = min((float(np.abs(edges @ axis).sum()) / np.hypot(*axis), axis) for axis in _AXES)
+    key = plane[:, 0] * axis[0] + plane[:, 1] * axis[1]
+    ears = np.empty((n - 2, 3), np.int64)
+    corner = np.arange(n)
+    is_whole = clip_large_ring(
+        np.ascontiguousarray(plane[:, 0]),
+        np.ascontiguousarray(plane[:, 1]),
+        key,
+        np.argsort(key, kind="stable"),
+        1e-15 * float(np.abs(plane).max()),
+        np.roll(corner, 1),
+        np.roll(corner, -1),
+        _STEPS_PER_CORNER * n,
+        ears,
+    )
+    return ears, bool(is_whole)
+
+
+def _by_earcut(plane: F64) -> tuple[I64, bool]:
+    """Triangulate by mapbox-earcut; say whether the result fits the ring.
+
+    mapbox-earcut leaves out corners on straight edges and repeated ones; they are put
+    back by splitting the triangle on that edge. Where they do not fit it, it is fanned.
+    """
     from mapbox_earcut import triangulate_float64
 
     n = len(plane)
-    following = np.roll(plane, -1, axis=0)
-    area2 = (plane[:, 0] * following[:, 1] - plane[:, 1] * following[:, 0]).sum()
     flat = triangulate_float64(np.ascontiguousarray(plane), np.array([n], np.uint32))
     ears: I64 = flat.reshape(-1, 3).astype(np.int64)
     ab = plane[ears[:, 1]] - plane[ears[:, 0]]
@@ -250,8 +298,8 @@ def _triangulate_large(plane: F64) -> tuple[I64, int]:
     triangles = _put_back(ears, n)
     if len(triangles) != n - 2:
         order = np.arange(1, n - 1)
-        return np.stack([np.zeros_like(order), order, order + 1], axis=1), _CROSSING
-    return triangles, 0 if abs(np.abs(ear_area2).sum() - area2) <= 1e-9 * area2 else _CROSSING
+        return np.stack([np.zeros_like(order), order, order + 1], axis=1), False
+    return triangles, True
 
 
 def _put_back(ears: I64, n: int) -> I64:

@@ -196,3 +196,150 @@ def clip_rings(u, v, start, previous, following, searched, rank, ears, is_crossi
             searched[i] = 0
             rank[head] = _rank(u, v, previous[head], head, i)
             rank[i] = _rank(u, v, head, i, following[i])
+
+
+@_helper
+def _unlink(i, blocker, first, before, after):
+    """Let corner i no longer wait for the corner that forbids its ear."""
+    q = blocker[i]
+    if q < 0:
+        return
+    if before[i] < 0:
+        first[q] = after[i]
+    else:
+        after[before[i]] = after[i]
+    if after[i] >= 0:
+        before[after[i]] = before[i]
+    blocker[i] = -1
+
+
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+def clip_large_ring(u, v, key, order, slack, previous, following, most_steps, ears):
+    """Clip the ears of one ring, any before the best; say whether all but a fan are ears.
+
+    Corners stand in a queue. One whose ear is forbidden waits until the corner that forbids
+    it, or a neighbour, is clipped. Those that might forbid it are looked for along one axis.
+    Where no ear is left, or work enough was done, what remains of the ring is fanned.
+
+    Parameters
+    ----------
+    u, v : (n,) float64
+        Counter-clockwise.
+    key : (n,) float64
+        Coordinates along the axis.
+    order : (n,) int64
+        Corners, sorted by key. Changed.
+    slack : float
+        Rounding of `key`.
+    previous, following : (n,) int64
+        The ring as a linked list. Changed.
+    most_steps : int64
+        Corners that are looked at, O(1) each.
+    ears : (n - 2, 3) int64
+        Filled.
+    """
+    n = len(u)
+    sorted_key = key[order]
+    n_sorted = n
+    is_clipped = np.zeros(n, np.bool_)
+    queue = np.arange(n)
+    front = 0
+    n_queued = n
+    is_queued = np.ones(n, np.bool_)
+    is_delayed = np.zeros(n, np.bool_)  # a neighbour was clipped: others first, or slivers result
+    blocker = np.full(n, -1, np.int64)
+    first = np.full(n, -1, np.int64)  # of those that wait for a corner: a linked list
+    before = np.full(n, -1, np.int64)
+    after = np.full(n, -1, np.int64)
+    head = np.int64(0)
+    n_left = n
+    n_left_at_last_try = n + 1
+    steps = 0
+    while n_left > 3 and steps < most_steps:
+        if n_queued == 0:
+            # Edges at a corner that coincides with an ear's may have turned.
+            if n_left == n_left_at_last_try:
+                break
+            n_left_at_last_try = n_left
+            i = head
+            for _ in range(n_left):
+                _unlink(i, blocker, first, before, after)
+                queue[(front + n_queued) % n] = i
+                is_queued[i] = True
+                n_queued += 1
+                i = following[i]
+        i = queue[front]
+        front = (front + 1) % n
+        n_queued -= 1
+        steps += 1
+        if is_delayed[i]:
+            is_delayed[i] = False
+            queue[(front + n_queued) % n] = i
+            n_queued += 1
+            continue
+        is_queued[i] = False
+        a = previous[i]
+        c = following[i]
+        rank = _rank(u, v, a, i, c)
+        if rank <= 0.0:
+            continue
+        if rank != _COINCIDENT:
+            low = min(key[a], key[i], key[c]) - slack
+            high = max(key[a], key[i], key[c]) + slack
+            j = np.searchsorted(sorted_key[:n_sorted], low)
+            q = np.int64(-1)
+            while j < n_sorted and sorted_key[j] <= high:
+                steps += 1
+                if not is_clipped[order[j]] and _forbids(
+                    u, v, previous, following, i, order[j]
+                ):
+                    q = order[j]
+                    break
+                j += 1
+            if q >= 0:
+                blocker[i] = q
+                before[i] = -1
+                after[i] = first[q]
+                if first[q] >= 0:
+                    before[first[q]] = i
+                first[q] = i
+                continue
+        ears[n - n_left, 0] = a
+        ears[n - n_left, 1] = i
+        ears[n - n_left, 2] = c
+        n_left -= 1
+        following[a] = c
+        previous[c] = a
+        is_clipped[i] = True
+        head = a
+        while first[i] >= 0:
+            k = first[i]
+            _unlink(k, blocker, first, before, after)
+            queue[(front + n_queued) % n] = k
+            is_queued[k] = True
+            n_queued += 1
+        for k in (a, c):
+            if is_queued[k]:
+                is_delayed[k] = True
+                continue
+            _unlink(k, blocker, first, before, after)
+            queue[(front + n_queued) % n] = k
+            is_queued[k] = True
+            n_queued += 1
+        if 2 * n_left < n_sorted:
+            n_kept = 0
+            for j in range(n_sorted):
+                if not is_clipped[order[j]]:
+                    order[n_kept] = order[j]
+                    sorted_key[n_kept] = sorted_key[j]
+                    n_kept += 1
+            n_sorted = n_kept
+    is_whole = n_left == 3
+    i = following[head]
+    while n_left > 2:
+        ears[n - n_left, 0] = head
+        ears[n - n_left, 1] = i
+        ears[n - n_left, 2] = following[i]
+        i = following[i]
+        n_left -= 1
+    return is_whole

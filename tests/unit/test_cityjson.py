@@ -279,6 +279,24 @@ def test_instances_that_ask_for_gigabytes():
     objects = {"a": building(*[one] * 3000)}
     found = message(city(objects, **{"geometry-templates": templates}))
     assert "3000 instances of geometry templates have 180000000 corners" in found
+    objects = {"a": building(*[one] * 150)}  # 9 M corners of a file of half a megabyte
+    found = message(city(objects, **{"geometry-templates": templates}))
+    assert "have 9000000 corners; of a file of" in found
+
+
+@pytest.mark.parametrize("is_swapped", [False, True])
+def test_metres_of_a_template_around_degrees(is_swapped):
+    pytest.importorskip("pyproj")
+    templates = {"templates": [solid("1")], "vertices-templates": CUBE}
+    objects = {"a": building({"type": "GeometryInstance", "template": 0, "boundaries": [0]})}
+    at = [139.7, 35.5, 3.0]
+    vertices = [[35.5, 139.7, 3.0] if is_swapped else at]
+    document = city(objects, vertices=vertices, **{"geometry-templates": templates})
+    document["metadata"] = {"referenceSystem": "https://www.opengis.net/def/crs/EPSG/0/6697"}
+    placed = read(document).positions
+    extent = np.ptp(placed[1:], axis=0)
+    np.testing.assert_allclose(extent, [10 / 90_735, 10 / 110_949, 10], rtol=1e-3)
+    np.testing.assert_allclose(placed[1:].min(axis=0), at, rtol=1e-9)
 
 
 # --- sequences

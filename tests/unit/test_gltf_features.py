@@ -447,6 +447,28 @@ def test_sparse_accessor_of_very_many_zeros():
     del accessor["bufferView"]
     accessor.update(sparse={"count": 0}, count=10**12)
     assert "announces 1000000000000 rows of zeros" in refusal(glb)
+    accessor["count"] = 100_000  # 1.2 MB of a file of 1 kB
+    assert "announces 100000 rows of zeros, but the file has" in refusal(glb)
+
+
+@pytest.mark.parametrize(
+    ("n_instances", "n_triangles", "found"),
+    [(80_000, 70, "5600000 triangles"), (1_010_000, 1, "1010000 instances of nodes")],
+)
+def test_instances_that_multiply(n_instances, n_triangles, found):
+    """A file of kilobytes that would place millions."""
+    glb = Glb()
+    places = glb.accessor([0, 0, 0, 0], "i1")
+    glb.tree["accessors"][places].update(type="VEC4", count=1, normalized=True)
+    place = {"count": n_instances, "type": "VEC3", "componentType": 5120, "normalized": True}
+    glb.tree["accessors"][places] = {**place, "sparse": {"count": 0}}
+    glb.tree["accessors"][places]["sparse"] |= {
+        side: {"bufferView": 0, "componentType": 5121} for side in ("indices", "values")
+    }
+    mesh = glb.mesh(glb.primitive(indices=(0, 1, 2) * n_triangles))
+    instances = {"attributes": {"TRANSLATION": places}}
+    glb.node(mesh=mesh, extensions={"EXT_mesh_gpu_instancing": instances})
+    assert f"it unfolds to {found} or more" in refusal(glb)
 
 
 # --- Draco

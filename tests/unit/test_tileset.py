@@ -308,12 +308,21 @@ def test_implicit_tile_with_children(folder):
 
 
 def test_subtrees_that_multiply(folder, monkeypatch):
-    """One file for all subtrees, each full of further ones."""
-    monkeypatch.setattr(tileset_subtrees, "_MOST_SUBTREES", 500)
-    write_subtree(folder, "0_0_0", subtree(0, 0, 1))
-    more = {"availableLevels": 48, "subtrees": {"uri": "s/0_0_0.subtree"}}
+    more = {"availableLevels": 48}
     write_tileset(folder / "tileset.json", implicit(**more))
-    assert "more than 500 subtrees" in refusal(folder)
+    write_subtree(folder, "0_0_0", subtree(0, 0, 1))
+    monkeypatch.setattr(tileset_subtrees, "_MOST_SUBTREES", 16)
+    assert "more than 16 subtrees" in refusal(folder)
+    monkeypatch.setattr(tileset_subtrees, "_MOST_BITS_IN_ALL", 14)
+    assert "more than 14 bits of availability" in refusal(folder)
+
+
+@pytest.mark.parametrize("uri", ["s/0_0_0.subtree", "s/0_0_0.subtree?{level}_{x}_{y}"])
+def test_one_file_for_all_subtrees(folder, uri):
+    write_subtree(folder, "0_0_0", subtree(0, 0, 1))
+    more = {"availableLevels": 48, "subtrees": {"uri": uri}}
+    write_tileset(folder / "tileset.json", implicit(**more))
+    assert "two of its subtrees are the same file" in refusal(folder)
 
 
 def test_tiles_that_are_too_many(folder, monkeypatch):
