@@ -7,7 +7,8 @@ rings is an edge of exactly one of them, so that closed solids stay closed.
     holes            mapbox-earcut in the polygon's own plane; corners on straight edges,
                      which it leaves out, are put back
     where that does  each hole is joined to its outline by a bridge, there and back, and the
-    not fit          one ring that results is triangulated like any other
+    not fit, or may  one ring that results is triangulated like any other
+    take minutes
 
 The result is judged, not trusted: its triangles must meet edge to edge, end at the rings
 alone, and have together the area of the outline less that of the holes.
@@ -21,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from svprep.defects import Code
-from svprep.ingest.triangulation import Triangulation, triangulate
+from svprep.ingest.triangulation import MOST_EARCUT, Triangulation, triangulate
 from svprep.model import F64, I64, U32
 
 _SHORT: Final = int(Code.SHORT_POLYGON)
@@ -39,6 +40,7 @@ are fanned from the first corner, wherever that leads."""
 _SLIVER: Final = 1e-12  # of the longest side squared: twice the area of a triangle without any
 
 
+@np.errstate(over="ignore", invalid="ignore")  # so large a polygon is fanned; no grid fits it
 def triangulate_rings(
     positions: F64, corners: U32, ring_start: I64, polygon_start: I64
 ) -> Triangulation:
@@ -70,7 +72,8 @@ def triangulate_rings(
     different corners (only such a hole is left out). The polygon is kept in any case.
 
     O(n log n) as a rule for a polygon with holes, a loop over polygons; without holes as
-    `triangulate`.
+    `triangulate`. Bridged at once, and so bounded like a ring: a polygon with a ring of more
+    than `MOST_EARCUT` corners, or with more corners in all and few enough holes.
     """
     start = ring_start[polygon_start]
     n_rings = np.diff(polygon_start)
@@ -107,9 +110,12 @@ def _triangulate_holed(positions: F64, rings: list[U32]) -> tuple[U32, int]:
     points = positions[corners] - positions[corners[0]]
     plane, is_bent = _in_its_plane(points, ring_start[1])
 
-    local, is_right = _by_earcut(plane, ring_start)
+    local, is_right = np.empty((0, 3), np.int64), False
+    is_finite = bool(np.isfinite(_signed_areas(plane, ring_start)).all())
+    if is_finite and not _is_slow(ring_start):
+        local, is_right = _by_earcut(plane, ring_start)
     if not is_right or _has_sliver(plane, local):
-        bridged, is_covered = _by_bridges(plane, ring_start)
+        bridged, is_covered = _by_bridges(plane, ring_start, is_finite=is_finite)
         if is_covered or not is_right:
             local, is_right = bridged, is_covered
     is_odd = (
@@ -119,6 +125,14 @@ def _triangulate_holed(positions: F64, rings: list[U32]) -> tuple[U32, int]:
         or _is_touching(points, ring_start, local)
     )
     return corners[local], _CROSSING if is_odd else _NONPLANAR if is_bent else 0
+
+
+def _is_slow(ring_start: I64) -> bool:
+    """Return whether mapbox-earcut may take minutes. Of very many small holes it is the best."""
+    n = int(ring_start[-1])
+    return n > MOST_EARCUT and (
+        int(np.diff(ring_start).max()) > MOST_EARCUT or (len(ring_start) - 2) * n <= _MOST_SEARCHES
+    )
 
 
 def _n_different(ring: U32) -> int:
@@ -277,17 +291,18 @@ def _ends_at_rings(triangles: I64, following: list[int]) -> bool:
     )
 
 
-def _by_bridges(plane: F64, ring_start: I64) -> tuple[I64, bool]:
+def _by_bridges(plane: F64, ring_start: I64, *, is_finite: bool) -> tuple[I64, bool]:
     """Triangulate the one ring that bridges to the holes make; say whether it covers them.
 
-    Whatever the rings, triangles end at their edges alone.
+    Whatever the rings, triangles end at their edges alone. They are fanned where there are too
+    many to search, or areas overflow.
     """
     areas = _signed_areas(plane, ring_start)
     following = np.array(_following_corners(areas, ring_start))
     ring = np.arange(ring_start[1])
     holes = [np.arange(a, b) for a, b in pairwise(ring_start[1:])]
     holes = [h[::-1] if area > 0 else h for h, area in zip(holes, areas[1:], strict=True)]
-    if len(holes) * len(plane) > _MOST_SEARCHES:
+    if not is_finite or len(holes) * len(plane) > _MOST_SEARCHES:
         ring = np.concatenate([ring, *(np.r_[0, hole, hole[0]] for hole in holes)])
         return np.column_stack([0 * ring[2:], ring[1:-1], ring[2:]]), False
     holes.sort(key=lambda hole: -float(plane[hole, 0].max()))

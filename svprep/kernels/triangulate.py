@@ -214,7 +214,7 @@ def _unlink(i, blocker, first, before, after):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def clip_large_ring(u, v, key, order, slack, previous, following, most_steps, ears):
+def clip_large_ring(u, v, along, across, order, slack, previous, following, most_steps, ears):
     """Clip the ears of one ring, any before the best; say whether all but a fan are ears.
 
     Corners stand in a queue. One whose ear is forbidden waits until the corner that forbids
@@ -225,12 +225,12 @@ def clip_large_ring(u, v, key, order, slack, previous, following, most_steps, ea
     ----------
     u, v : (n,) float64
         Counter-clockwise.
-    key : (n,) float64
-        Coordinates along the axis.
+    along, across : (n,) float64
+        Coordinates along the axis, and across it.
     order : (n,) int64
-        Corners, sorted by key. Changed.
+        Corners, sorted by `along`. Changed.
     slack : float
-        Rounding of `key`.
+        Rounding of both.
     previous, following : (n,) int64
         The ring as a linked list. Changed.
     most_steps : int64
@@ -239,7 +239,8 @@ def clip_large_ring(u, v, key, order, slack, previous, following, most_steps, ea
         Filled.
     """
     n = len(u)
-    sorted_key = key[order]
+    sorted_along = along[order]
+    sorted_across = across[order]  # read one after the other: far quicker than by corner
     n_sorted = n
     is_clipped = np.zeros(n, np.bool_)
     queue = np.arange(n)
@@ -284,14 +285,17 @@ def clip_large_ring(u, v, key, order, slack, previous, following, most_steps, ea
         if rank <= 0.0:
             continue
         if rank != _COINCIDENT:
-            low = min(key[a], key[i], key[c]) - slack
-            high = max(key[a], key[i], key[c]) + slack
-            j = np.searchsorted(sorted_key[:n_sorted], low)
+            low = min(across[a], across[i], across[c]) - slack
+            high = max(across[a], across[i], across[c]) + slack
+            end = max(along[a], along[i], along[c]) + slack
+            j = np.searchsorted(sorted_along[:n_sorted], min(along[a], along[i], along[c]) - slack)
             q = np.int64(-1)
-            while j < n_sorted and sorted_key[j] <= high:
+            while j < n_sorted and sorted_along[j] <= end:
                 steps += 1
-                if not is_clipped[order[j]] and _forbids(
-                    u, v, previous, following, i, order[j]
+                if (
+                    low <= sorted_across[j] <= high
+                    and not is_clipped[order[j]]
+                    and _forbids(u, v, previous, following, i, order[j])
                 ):
                     q = order[j]
                     break
@@ -331,7 +335,8 @@ def clip_large_ring(u, v, key, order, slack, previous, following, most_steps, ea
             for j in range(n_sorted):
                 if not is_clipped[order[j]]:
                     order[n_kept] = order[j]
-                    sorted_key[n_kept] = sorted_key[j]
+                    sorted_along[n_kept] = sorted_along[j]
+                    sorted_across[n_kept] = sorted_across[j]
                     n_kept += 1
             n_sorted = n_kept
     is_whole = n_left == 3

@@ -79,7 +79,8 @@ def to_grid(positions: F64, grid: Grid) -> I32:
     Halves round up, so that rounding commutes with any shift by grid steps.
     Vertices no face uses may lie outside the grid; they are clipped.
     """
-    index = positions / grid.step_m
+    with np.errstate(over="ignore"):
+        index = positions / grid.step_m
     index += 0.5
     np.floor(index, out=index)
     index -= grid.origin_m / grid.step_m
@@ -98,8 +99,8 @@ def _ceil_log2(x: float) -> int:
 
 def _too_large(source: SourceMesh, points: F64, extent: float) -> InputError:
     """Name the vertex farthest from the median, and an object that uses it."""
-    centre = np.median(points, axis=0)
     with np.errstate(over="ignore"):
+        centre = 2 * np.median(points / 2, axis=0)
         distance = np.abs(source.positions - centre).max(axis=1)
     used: U32 = np.unique(source.faces)
     vertex = int(used[np.argmax(distance[used])])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from svprep.defects import Code
 from svprep.errors import InputError
 from svprep.ingest import obj
 from svprep.ingest.parsed import ParsedFile
-from svprep.ingest.triangulation import LARGE_RING, triangulate
+from svprep.ingest.triangulation import LARGE_RING, MOST_EARCUT, triangulate
 
 POOL = ThreadPoolExecutor(2)
 
@@ -355,3 +356,42 @@ def test_a_large_crossing_ring_still_gives_n_minus_2():
     result = run(points)
     assert len(result.triangles) == n - 2
     assert result.finding.tolist() == [Code.SELF_CROSSING_POLYGON]
+
+
+@pytest.mark.parametrize("is_crossing", [False, True])
+def test_a_ring_that_winds_or_crosses_takes_no_minutes(is_crossing):
+    # mapbox-earcut takes half a minute for such a spiral.
+    n = 20_000
+    turns = np.linspace(0, 250 * 2 * np.pi, n // 2)
+    inner, outer = (
+        np.column_stack([np.cos(turns) * (turns + r), np.sin(turns) * (turns + r)]) for r in (1, 3)
+    )
+    points = np.vstack([inner, outer[::-1]])
+    if is_crossing:
+        points = np.random.default_rng(1).random((n, 2))
+    points = np.column_stack([points, np.zeros(n)])
+    result = run(points)
+    assert result.finding.tolist() == [Code.SELF_CROSSING_POLYGON if is_crossing else 0]
+    assert len(result.triangles) == n - 2
+
+
+def test_a_ring_with_one_crossing_is_fanned_around_it_alone():
+    n = MOST_EARCUT + 1000
+    angles = np.arange(n) * 2 * np.pi / n
+    radii = np.random.default_rng(2).uniform(900, 1000, n)
+    points = np.column_stack([radii * np.cos(angles), radii * np.sin(angles), np.zeros(n)])
+    whole = area2(points, run(points).triangles).sum()
+    points[[500, 504]] = points[[504, 500]]
+    result = run(points)
+    assert result.finding.tolist() == [Code.SELF_CROSSING_POLYGON]
+    assert area2(points, result.triangles).sum() == pytest.approx(whole, rel=1e-2)
+
+
+@pytest.mark.parametrize("n", [5, LARGE_RING + 1])
+@pytest.mark.parametrize("size", [1e160, 1e308])
+def test_a_ring_too_large_to_measure_warns_of_nothing(n, size):
+    angles = np.arange(n) * 2 * np.pi / n
+    points = size * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(run(points).triangles) == n - 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections import Counter
 
 import numpy as np
@@ -269,3 +270,19 @@ def test_very_many_holes_take_seconds():
     assert time.perf_counter() - begin < 30
     assert len(result.triangles) == len(points) + 2 * n * n - 2
     assert ends_at_rings(rings, result.triangles)
+
+
+def test_a_hole_in_a_ring_that_crosses_takes_no_minutes():
+    wild = np.random.default_rng(1).uniform(-1000, 1000, (20_000, 2))
+    result, points = run([wild.tolist(), hole(0, 0)])
+    assert result.finding.tolist() == [CROSSING]
+    assert len(result.triangles) == len(points)
+
+
+def test_rings_too_large_to_measure_warn_of_nothing():
+    outline = [(-1e308, -1e308), (1e308, -1e308), (1e308, 1e308), (0, 5e307), (-1e308, 1e308)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result, points = run([outline, hole(0, 0)])
+    assert result.finding.tolist() == [CROSSING]
+    assert len(result.triangles) == len(points)
