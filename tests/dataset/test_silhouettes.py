@@ -23,7 +23,12 @@ from tests.dataset.lights import KINDS, TIES, hard_lights
 FILES = buildable_files()
 LIGHTS = 200
 LIGHTS_OF_LARGE = 20
-LARGE = {"broken/ogre.obj.gz", "cities/monastery.obj.gz", "cities/openfoam_buildings.obj.gz"}
+LARGE = {
+    "broken/ogre.obj.gz",
+    "cities/monastery.obj.gz",
+    "cities/openfoam_buildings.obj.gz",
+    "cities/wageningen_7-624-528",
+}
 """Files of more than `MOST_FACES`: only --long tries all the lights. Their ids say so."""
 MOST_FACES = 100_000
 
