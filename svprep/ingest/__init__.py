@@ -23,6 +23,7 @@ from svprep.ingest.inputs import TILESET, expanded, is_tileset, suffix_of_model
 from svprep.ingest.notes import merged_notes
 from svprep.ingest.options import HIGHEST, ReadOptions
 from svprep.ingest.parsed import ParsedFile, Report, encodable
+from svprep.ingest.surface_names import SurfaceNames
 from svprep.model import U8, FaceFindings, Place, SourceFile, SourceMesh
 from svprep.path_names import told_apart
 
@@ -122,8 +123,6 @@ _HAVE_LODS = ("cityjson", "cityjsonseq", "citygml")
 _NOT_YET = {
     ".poly": "TetGen polyhedra",
 }
-_MOST_SURFACE_NAMES = 256
-_OTHER_SURFACE = "other"
 _MOST_FACES = 715_000_000  # three times as many stay below 2**31
 
 
@@ -324,21 +323,13 @@ def _stated(texts: list[tuple[str, ...]], n_objects: list[int]) -> tuple[str, ..
 
 
 def _joined_names(parsed: list[ParsedFile]) -> tuple[tuple[str, ...], list[U8]]:
-    """Return the names of surfaces of all files, and per file where its own stand there.
-
-    The names beyond the 255th share one.
-    """
-    numbers = {"": 0}
-    for p in parsed:
-        for name in p.surface_names:
-            numbers.setdefault(encodable(name), min(len(numbers), _MOST_SURFACE_NAMES - 1))
-    names = list(numbers)[:_MOST_SURFACE_NAMES]
-    if len(numbers) > _MOST_SURFACE_NAMES:
-        names[-1] = _OTHER_SURFACE
+    """Return the names of surfaces of all files, and per file where its own stand there."""
+    names = SurfaceNames()
     tables = [
-        np.array([numbers[encodable(name)] for name in p.surface_names], np.uint8) for p in parsed
+        np.array([names.number_of(encodable(name)) for name in p.surface_names], np.uint8)
+        for p in parsed
     ]
-    return tuple(names), tables
+    return names.names(), tables
 
 
 def _joined(arrays: list[np.ndarray]) -> np.ndarray:

@@ -38,11 +38,10 @@ from svprep.ingest.holes import triangulate_rings
 from svprep.ingest.lod import choose_lods, number_of
 from svprep.ingest.options import HIGHEST, ReadOptions
 from svprep.ingest.parsed import ParsedFile, Report, count_of, shown
+from svprep.ingest.surface_names import SurfaceNames
 from svprep.ingest.triangulation import Triangulation
 from svprep.model import BOOL, F64, I64, U8, FaceFindings
 
-_MOST_NAMES: Final = 256
-_OTHER: Final = "other"
 _PLURALS: Final = {
     LOOSE_RING: "rings outside of polygons",
     FAR_TEMPLATE: "implicit geometries in files of their own",
@@ -217,9 +216,8 @@ def _parsed(
     found = np.flatnonzero(surfaces.finding)
     listed = objects.tolist()
     parents = log.object_parents
-    surface_names = list(log.surfaces)
-    if len(surface_names) > _MOST_NAMES:
-        surface_names[_MOST_NAMES - 1 :] = [_OTHER]
+    surface_names = SurfaceNames()
+    number = np.array([surface_names.number_of(name) for name in log.surfaces], np.uint8)
     return ParsedFile(
         polygons.positions,
         np.ascontiguousarray(faces),
@@ -234,7 +232,7 @@ def _parsed(
         tuple(notes),
         object_types=tuple(log.object_types[i] for i in listed),
         object_parents=tuple("" if parents[i] < 0 else names[parents[i]] for i in listed),
-        surface_names=tuple(surface_names),
-        surface_of_polygon=np.minimum(uses.surface, _MOST_NAMES - 1).astype(np.uint8),
+        surface_names=surface_names.names(),
+        surface_of_polygon=number[uses.surface],
         crs=polygons.crs,
     )

@@ -18,6 +18,7 @@ from itertools import chain
 from typing import Any, Final
 
 from svprep.ingest.parsed import encodable, shown
+from svprep.ingest.surface_names import SurfaceNames
 
 DEPTH: Final = {
     "MultiSurface": 0,
@@ -29,8 +30,6 @@ DEPTH: Final = {
 """Of the list of surfaces in the boundaries of each type of geometry."""
 NO_SURFACE: Final = {"MultiPoint": "points", "MultiLineString": "lines"}
 
-_MOST_NAMES: Final = 256
-_OTHER: Final = "other"
 _OLD_NAMES: Final = {
     name: f"{name}Surface"
     for name in (
@@ -53,29 +52,6 @@ def type_of(geometry: dict[str, Any]) -> str:
 def unknown_type(geometry: dict[str, Any]) -> MalformedError:
     """Return the error for a geometry of a type that CityJSON does not have."""
     return MalformedError(f"there is no geometry of type {shown(repr(geometry.get('type')))}")
-
-
-@dataclass(slots=True)
-class SurfaceNames:
-    """The names of surfaces in a file, numbered as they come; the last shared by the rest."""
-
-    number: dict[str, int] = field(default_factory=lambda: {"": 0})
-
-    def number_of(self, name: object) -> int:
-        """Return the number of a name, 0 of what is none."""
-        if not isinstance(name, str):
-            return 0
-        name = _OLD_NAMES.get(name, name)
-        found = self.number.get(name)
-        if found is None:
-            if len(self.number) >= _MOST_NAMES - 1:
-                name = _OTHER
-            found = self.number.setdefault(name, len(self.number))
-        return found
-
-    def names(self) -> tuple[str, ...]:
-        """Return all names by number."""
-        return tuple(encodable(name) for name in self.number)
 
 
 @dataclass(slots=True)
@@ -134,14 +110,21 @@ class Surfaces:
             if isinstance(semantics, dict):
                 listed = semantics.get("surfaces") or []
                 of_index: dict[object, int] = {None: 0}
-                of_index.update((i, names.number_of(s.get("type"))) for i, s in enumerate(listed))
+                of_index.update((i, _number(s.get("type"), names)) for i, s in enumerate(listed))
                 values = _values(semantics.get("values"), boundaries, depth)
                 return bytes([of_index[value] for value in values])
             values = _values(semantics, boundaries, depth)
-            return bytes([names.number_of(value) for value in values])
+            return bytes([_number(value, names) for value in values])
         except (AttributeError, KeyError, TypeError, ValueError):
             self.left_out["semantics"] += 1
             return bytes(n)
+
+
+def _number(name: object, names: SurfaceNames) -> int:
+    """Return the number of a surface's name, 0 of what is none."""
+    if not isinstance(name, str):
+        return 0
+    return names.number_of(encodable(_OLD_NAMES.get(name, name)))
 
 
 def _joined(lists: Any, kind: str) -> list[Any]:

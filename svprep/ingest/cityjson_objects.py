@@ -16,13 +16,13 @@ from svprep.ingest.cityjson_geometry import (
     DEPTH,
     NO_SURFACE,
     MalformedError,
-    SurfaceNames,
     Surfaces,
     type_of,
     unknown_type,
 )
 from svprep.ingest.cityjson_templates import Instance, Templates
 from svprep.ingest.parsed import shown
+from svprep.ingest.surface_names import SurfaceNames
 
 _CHILDREN: Final = (
     "children",

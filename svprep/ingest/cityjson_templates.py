@@ -20,12 +20,12 @@ from svprep.ingest.cityjson_geometry import (
     DEPTH,
     NO_SURFACE,
     MalformedError,
-    SurfaceNames,
     Surfaces,
     type_of,
     unknown_type,
 )
 from svprep.ingest.parsed import refuse_non_finite, shown
+from svprep.ingest.surface_names import SurfaceNames
 from svprep.model import F64, I64, U8, U32
 
 # Corners of all instances together: more is no city, but a small file that asks for gigabytes.

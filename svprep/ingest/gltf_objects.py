@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from svprep.errors import InputError
 from svprep.ingest.parsed import ParsedFile, encodable, no_findings, refuse_non_finite
+from svprep.ingest.surface_names import SurfaceNames
 from svprep.model import F64, I64, U32
 
 MOST_TRIANGLES: Final = 715_000_000
@@ -19,9 +20,7 @@ MOST_TRIANGLES: Final = 715_000_000
 _ALWAYS_PLACED: Final = 5_000_000  # triangles
 _MOST_PER_BYTE: Final = 10  # as many more for every byte of the file
 _ALWAYS_INSTANCES: Final = 1_000_000  # each is an object; and one more for every byte
-_MOST_SURFACE_NAMES: Final = 256
 _MOST_WAITING: Final = 1 << 20  # vertices
-_OTHER_SURFACE: Final = "other"
 
 
 class Owner(NamedTuple):
@@ -50,7 +49,7 @@ class Gathered:
         self._number: dict[Hashable, int] = {}
         self._owners: list[Owner] = []
         self._surface: list[tuple[int, int]] = []  # name, faces
-        self._surface_number = {"": 0}
+        self._surface_names = SurfaceNames()
 
     def number(self, owner: Owner) -> int:
         """Return an object's number; it is given one when it is first met."""
@@ -117,10 +116,7 @@ class Gathered:
         self._n_waiting += len(points)
         self._object_of_face.append(objects)
         self.n_faces += n_new
-        number = self._surface_number.setdefault(
-            surface, min(len(self._surface_number), _MOST_SURFACE_NAMES - 1)
-        )
-        self._surface.append((number, n_new))
+        self._surface.append((self._surface_names.number_of(surface), n_new))
 
     def _place(self) -> None:
         """Place the surfaces that wait for it, all by the same matrices.
@@ -158,9 +154,7 @@ class Gathered:
             order = np.argsort(objects, kind="stable")
             faces, source_face = faces[order], source_face[order]
         counts = np.bincount(objects, minlength=len(self._owners))
-        names = list(self._surface_number)[:_MOST_SURFACE_NAMES]
-        if len(self._surface_number) > _MOST_SURFACE_NAMES:
-            names[-1] = _OTHER_SURFACE
+        names = self._surface_names.names()
         surfaces: NDArray[np.uint8] = np.empty(0, np.uint8)
         if len(names) > 1:
             numbers, lengths = np.array(self._surface, np.int64).T

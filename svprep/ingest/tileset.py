@@ -28,13 +28,13 @@ from svprep.ingest.gltf_frame import with_earth_frame
 from svprep.ingest.gltf_objects import MOST_TRIANGLES
 from svprep.ingest.options import ReadOptions
 from svprep.ingest.parsed import ParsedFile, Report, count_of, no_findings, shown
+from svprep.ingest.surface_names import SurfaceNames
 from svprep.ingest.tileset_files import TilesetFiles
 from svprep.ingest.tileset_tree import Tile, read_tree
 from svprep.model import U8
 
 _MOST_INSIDE: Final = 16  # .cmpt in .cmpt
 _MOST_NOTES: Final = 20
-_MOST_SURFACE_NAMES: Final = 256
 _HOW_TO_CONVERT: Final = "convert it to 3D Tiles 1.1 (3d-tiles-tools upgrade)"
 
 
@@ -214,18 +214,12 @@ def _stated(texts: list[tuple[tuple[str, ...], int]]) -> tuple[str, ...]:
 
 def _surfaces(parts: Sequence[ParsedFile]) -> tuple[tuple[str, ...], U8]:
     """Return the names of surfaces of all contents, and which each polygon has."""
-    numbers = {"": 0}
-    for part in parts:
-        for name in part.surface_names:
-            numbers.setdefault(name, min(len(numbers), _MOST_SURFACE_NAMES - 1))
-    if len(numbers) == 1:
-        return ("",), np.zeros(0, np.uint8)
+    names = SurfaceNames()
     of_polygon = []
     for part in parts:
-        table = np.array([numbers[name] for name in part.surface_names], np.uint8)
+        table = np.array([names.number_of(name) for name in part.surface_names], np.uint8)
         stated = part.surface_of_polygon
         of_polygon.append(table[stated] if len(stated) else np.zeros(len(part.faces), np.uint8))
-    names = list(numbers)[:_MOST_SURFACE_NAMES]
-    if len(numbers) > _MOST_SURFACE_NAMES:
-        names[-1] = "other"
-    return tuple(names), np.concatenate(of_polygon)
+    if len(names.names()) == 1:
+        return ("",), np.zeros(0, np.uint8)
+    return names.names(), np.concatenate(of_polygon)
