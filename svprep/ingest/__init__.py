@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,13 @@ import numpy as np
 from svprep.errors import InputError
 from svprep.ingest.crs_given import with_crs_given
 from svprep.ingest.doubts import on_distance, on_lonely_tile
-from svprep.ingest.file_bytes import check_file, read_file
+from svprep.ingest.file_bytes import Text, check_file, read_file
 from svprep.ingest.filters import filtered
 from svprep.ingest.inputs import TILESET, expanded, is_tileset, suffix_of_model
 from svprep.ingest.notes import merged_notes
 from svprep.ingest.options import HIGHEST, ReadOptions
-from svprep.ingest.parsed import ParsedFile, Report, encodable
+from svprep.ingest.parsed import ParsedFile, Report, bytes_of_tables, encodable, in_files
+from svprep.ingest.spill import Array, Spill, empty_table, release, row_blocks
 from svprep.ingest.surface_names import SurfaceNames
 from svprep.model import U8, FaceFindings, Place, SourceFile, SourceMesh
 from svprep.path_names import told_apart
@@ -30,51 +32,49 @@ from svprep.path_names import told_apart
 Progress = Callable[[int, int], None]
 """Told the bytes that are read and the bytes of all input files."""
 
-_Reader = Callable[[U8, Path, str, Executor, Report, ReadOptions], ParsedFile]
+_Reader = Callable[[U8, Path, str, Report, ReadOptions], ParsedFile]
 
 
 def _read_obj(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
-) -> ParsedFile:
+    path: Path, stem: str, pool: Executor, report: Report, spill: Spill | None
+) -> tuple[ParsedFile, str]:
+    """Read an OBJ file, which alone is never held whole; return its digest, too.
+
+    The digest is computed first and meanwhile: what parses is imported and loaded then.
+    """
+    text = Text.of(path)
+    digest = pool.submit(text.sha256)
     from svprep.ingest.obj import read_obj
 
-    return read_obj(data, path, stem, pool, report)
+    return read_obj(text, stem, pool, report, spill), digest.result()
 
 
-def _read_ply(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
-) -> ParsedFile:
+def _read_ply(data: U8, path: Path, stem: str, report: Report, options: ReadOptions) -> ParsedFile:
     from svprep.ingest.trimesh_formats import read_ply
 
     return read_ply(data, path, stem)
 
 
-def _read_stl(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
-) -> ParsedFile:
+def _read_stl(data: U8, path: Path, stem: str, report: Report, options: ReadOptions) -> ParsedFile:
     from svprep.ingest.trimesh_formats import read_stl
 
     return read_stl(data, path, stem)
 
 
-def _read_off(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
-) -> ParsedFile:
+def _read_off(data: U8, path: Path, stem: str, report: Report, options: ReadOptions) -> ParsedFile:
     from svprep.ingest.off import read_off
 
     return read_off(data, path, stem)
 
 
-def _read_gltf(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
-) -> ParsedFile:
+def _read_gltf(data: U8, path: Path, stem: str, report: Report, options: ReadOptions) -> ParsedFile:
     from svprep.ingest.gltf import read_gltf
 
     return read_gltf(data, path, stem)
 
 
 def _read_cityjson(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+    data: U8, path: Path, stem: str, report: Report, options: ReadOptions
 ) -> ParsedFile:
     from svprep.ingest.cityjson import read_cityjson
 
@@ -82,31 +82,29 @@ def _read_cityjson(
 
 
 def _read_citygml(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+    data: U8, path: Path, stem: str, report: Report, options: ReadOptions
 ) -> ParsedFile:
     from svprep.ingest.citygml import read_citygml
 
     return read_citygml(data, path, stem, report, options)
 
 
-def _read_b3dm(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
-) -> ParsedFile:
+def _read_b3dm(data: U8, path: Path, stem: str, report: Report, options: ReadOptions) -> ParsedFile:
     from svprep.ingest.b3dm import read_b3dm
 
     return read_b3dm(data, path, stem)
 
 
 def _read_tileset(
-    data: U8, path: Path, stem: str, pool: Executor, report: Report, options: ReadOptions
+    data: U8, path: Path, stem: str, report: Report, options: ReadOptions
 ) -> ParsedFile:
     from svprep.ingest.tileset import read_tileset
 
     return read_tileset(path, report, options)
 
 
-_SUFFIXES: dict[str, tuple[str, _Reader]] = {
-    ".obj": ("obj", _read_obj),
+_SUFFIXES: dict[str, tuple[str, _Reader | None]] = {
+    ".obj": ("obj", None),  # see `_read_obj`
     ".ply": ("ply", _read_ply),
     ".stl": ("stl", _read_stl),
     ".off": ("off", _read_off),
@@ -130,6 +128,7 @@ def read(
     paths: Sequence[str | Path],
     progress: Progress | None = None,
     options: ReadOptions | None = None,
+    spill: Spill | None = None,
 ) -> SourceMesh:
     """Read model files into one mesh of triangles, grouped by object.
 
@@ -143,11 +142,20 @@ def read(
         Called now and then, from this thread.
     options
         What of the files is wanted.
+    spill
+        If given, `positions`, `faces`, `source_face` and `surface_of_polygon` become mapped
+        files (`svprep.ingest.spill`). OBJ is then held in memory block by block, other
+        formats one file at a time: its bytes, what its reader makes of them, and its tables.
+        So are the tables of a file of which options leave something out, or whose
+        positions are converted. A file that takes more than `Spill.memory_bytes` is read
+        all the same, and remarked on. Names, types and findings stay in memory.
 
     Raises
     ------
     InputError
         One line: which file (and line), what is wrong, what to do.
+    EnvironmentProblem
+        The folder of `spill` has no room.
     """
     options = options or ReadOptions()
     if not paths:
@@ -165,10 +173,10 @@ def read(
                 if progress is not None:
                     progress(sum(sizes[:i]) + int(fraction * sizes[i]), sum(sizes))
 
-            data, sha256 = read_file(path, pool)
-            parsed.append(reader(data, path, _stem(path), pool, report, options))
+            one, digest = _read_file(path, reader, pool, report, options, spill)
             report(1.0)
-            digests.append(sha256(parsed[i].beside))
+            parsed.append(one)
+            digests.append(digest)
     sources = [
         SourceFile(name, format_name, size, digest, p.crs)
         for name, (format_name, _), size, digest, p in zip(
@@ -176,18 +184,45 @@ def read(
         )
     ]
     parsed = [_noted(p, source, options) for p, source in zip(parsed, sources, strict=True)]
-    parsed, place = _in_one_frame(filtered(parsed, files, options), files)
+    keep = partial(in_files, spill=spill)
+    parsed, place = _in_one_frame(filtered(parsed, files, options, keep), files, keep)
     notes = (*inputs.notes, *on_distance(parsed, told_apart(inputs.paths)))
-    return replace(_concatenate(parsed, sources, notes), place=place)
+    return replace(_concatenate(parsed, sources, notes, spill), place=place)
 
 
-def _in_one_frame(parsed: list[ParsedFile], files: list[Path]) -> tuple[list[ParsedFile], Place]:
+def _read_file(
+    path: Path,
+    reader: _Reader | None,
+    pool: Executor,
+    report: Report,
+    options: ReadOptions,
+    spill: Spill | None,
+) -> tuple[ParsedFile, str]:
+    """Return a file, and its digest."""
+    if reader is None:
+        return _read_obj(path, _stem(path), pool, report, spill)
+    data, sha256 = read_file(path, pool)
+    parsed = reader(data, path, _stem(path), report, options)
+    digest = sha256(parsed.beside)
+    if spill is not None:
+        n_bytes = data.nbytes + bytes_of_tables(parsed)
+        if n_bytes > spill.memory_bytes:
+            spill.remarks.append(
+                f"{path} was read whole, which takes {-(-n_bytes >> 20)} MiB of memory at the "
+                f"least, more than the {spill.memory_bytes >> 20} MiB that were allowed"
+            )
+    return in_files(parsed, spill), digest
+
+
+def _in_one_frame(
+    parsed: list[ParsedFile], files: list[Path], keep: Callable[[ParsedFile], ParsedFile]
+) -> tuple[list[ParsedFile], Place]:
     """Bring all files into one frame in metres, if any states a CRS."""
     if not any(p.crs for p in parsed):
         return parsed, Place()
     from svprep.ingest.georeference import in_one_frame
 
-    return in_one_frame(parsed, files)
+    return in_one_frame(parsed, files, keep)
 
 
 def _noted(parsed: ParsedFile, source: SourceFile, options: ReadOptions) -> ParsedFile:
@@ -219,7 +254,7 @@ def _file_of(path: str) -> Path:
     return Path(path, TILESET) if os.path.isdir(path) else Path(path)
 
 
-def _format_of(path: Path) -> tuple[str, _Reader]:
+def _format_of(path: Path) -> tuple[str, _Reader | None]:
     """Return the format's name and reader."""
     suffix = suffix_of_model(path)
     if suffix == ".json" and is_tileset(path):
@@ -260,7 +295,10 @@ def _refuse_repeated(files: list[Path], names: Sequence[str], is_tileset: list[b
 
 
 def _concatenate(
-    parsed: list[ParsedFile], sources: list[SourceFile], notes: Sequence[str] = ()
+    parsed: list[ParsedFile],
+    sources: list[SourceFile],
+    notes: Sequence[str] = (),
+    spill: Spill | None = None,
 ) -> SourceMesh:
     """Put the files one behind the other."""
     n_vertices = np.array([len(p.positions) for p in parsed])
@@ -282,12 +320,14 @@ def _concatenate(
     findings = [p.face_findings for p in parsed]
     surface_names, tables = _joined_names(parsed)
     return SourceMesh(
-        positions=_joined([p.positions for p in parsed]),
+        positions=_joined([p.positions for p in parsed], spill),
         faces=_joined(
-            [p.faces + v if v else p.faces for p, v in zip(parsed, first_vertex, strict=True)]
+            [p.faces for p in parsed],
+            spill,
+            [first.__add__ for first in first_vertex] if len(parsed) > 1 else (),
         ),
         object_face_start=np.concatenate([[0], np.cumsum(face_counts)]).astype(np.int64),
-        source_face=_joined([p.source_face for p in parsed]),
+        source_face=_joined([p.source_face for p in parsed], spill),
         object_names=tuple(encodable(name) for p in parsed for name in p.object_names),
         object_source=np.repeat(np.arange(len(parsed), dtype=np.uint32), n_objects),
         sources=tuple(sources),
@@ -309,8 +349,8 @@ def _concatenate(
         object_types=_stated([p.object_types for p in parsed], n_objects),
         object_parents=_stated([p.object_parents for p in parsed], n_objects),
         surface_names=surface_names,
-        surface_of_polygon=np.concatenate(
-            [table[p.surface_of_polygon] for p, table in zip(parsed, tables, strict=True)]
+        surface_of_polygon=_joined(
+            [p.surface_of_polygon for p in parsed], spill, [table.take for table in tables]
         ),
         polygon_start=np.cumsum([0, *(len(p.surface_of_polygon) for p in parsed)], dtype=np.int64),
     )
@@ -332,6 +372,21 @@ def _joined_names(parsed: list[ParsedFile]) -> tuple[tuple[str, ...], list[U8]]:
     return names.names(), tables
 
 
-def _joined(arrays: list[np.ndarray]) -> np.ndarray:
-    """Concatenate, without a copy of a single array."""
-    return np.ascontiguousarray(arrays[0]) if len(arrays) == 1 else np.concatenate(arrays)
+def _joined(
+    arrays: Sequence[Array],
+    spill: Spill | None = None,
+    changes: Sequence[Callable[[Array], Array]] = (),
+) -> Array:
+    """Concatenate, each array changed in its own way; without a copy of a single unchanged one."""
+    if len(arrays) == 1 and not changes:
+        return np.ascontiguousarray(arrays[0])
+    n = sum(len(array) for array in arrays)
+    whole = empty_table(arrays[0].dtype, (n, *arrays[0].shape[1:]), spill)
+    begin = 0
+    for i, array in enumerate(arrays):
+        for (block,) in row_blocks(array):
+            end = begin + len(block)
+            whole[begin:end] = changes[i](block) if changes else block
+            release(whole[begin:end])
+            begin = end
+    return whole

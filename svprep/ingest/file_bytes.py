@@ -1,4 +1,4 @@
-"""A model file as bytes: read in parallel, unpacked if it ends in .gz, with its digest.
+"""A model file as bytes, unpacked if it ends in .gz, with its digest: whole, or as a stream.
 
 Every way in which that can fail is one `InputError`.
 """
@@ -6,13 +6,16 @@ Every way in which that can fail is one `InputError`.
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import stat
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -29,7 +32,7 @@ _ALWAYS_UNPACKED = 1 << 30
 
 
 @contextmanager
-def _file_errors(path: Path) -> Iterator[None]:
+def file_errors(path: Path) -> Iterator[None]:
     """Turn what the system says about a file into one line."""
     try:
         yield
@@ -47,7 +50,7 @@ def _file_errors(path: Path) -> Iterator[None]:
 
 def check_file(path: Path) -> int:
     """Return the size of a file on disk; raise `InputError` if it cannot be a model."""
-    with _file_errors(path):
+    with file_errors(path):
         status = path.stat()
     if is_device(status):
         raise InputError(f"{path}: this is a device, not a file; name a model file.")
@@ -64,18 +67,17 @@ def is_device(status: os.stat_result) -> bool:
 
 
 def read_file(path: Path, pool: Executor) -> tuple[U8, Callable[[Sequence[bytes]], str]]:
-    """Read a file.
+    """Read a file whole, several blocks at the same time.
 
     Returns
     -------
     data : (n_bytes + 1,) uint8
-        The file's bytes, and a line feed that the OBJ parser needs. Of a ``.gz`` file, the
-        bytes that it unpacks to.
+        The file's bytes, and a line feed. Of a ``.gz`` file, the bytes that it unpacks to.
     sha256 : function
         Returns the digest of the bytes on disk, followed by those of the files beside it
         that the reader names. `pool` computes it in the meantime.
     """
-    with _file_errors(path), path.open("rb", buffering=0) as file:
+    with file_errors(path), path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
         if size <= _BLOCK_BYTES or not hasattr(os, "preadv"):  # size 0: perhaps a pipe
             data = _with_line_feed(file.readall())
@@ -111,47 +113,136 @@ def _read_block(descriptor: int, data: U8, start: int) -> None:
         block, offset = block[n:], offset + n
 
 
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A text that can be read again and again from its start, never held as a whole."""
+
+    path: Path
+    n_bytes: int
+    """On disk."""
+    content: bytes | None = None
+    """The bytes on disk, of what can be read only once."""
+
+    @classmethod
+    def of(cls, path: Path) -> Text:
+        """Return that of a file, or of a pipe."""
+        with file_errors(path), path.open("rb", buffering=0) as file:
+            status = os.fstat(file.fileno())
+            if stat.S_ISREG(status.st_mode):
+                return cls(path, status.st_size)
+            content = file.readall()
+        if not content:
+            raise InputError(f"{path}: the file is empty.")
+        return cls(path, len(content), content)
+
+    @contextmanager
+    def stream(self) -> Iterator[TextStream]:
+        """Open the text, and close it behind the block."""
+        with file_errors(self.path):
+            if self.content is None:
+                packed: BinaryIO = self.path.open("rb", buffering=0)
+            else:
+                packed = io.BytesIO(self.content)
+            with packed:
+                yield TextStream(self, packed)
+
+    def sha256(self) -> str:
+        """Return the digest of the bytes on disk."""
+        if self.content is not None:
+            return hashlib.sha256(self.content).hexdigest()
+        with file_errors(self.path), self.path.open("rb", buffering=0) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class TextStream:
+    """A text from its start on, unpacked if its file ends in .gz."""
+
+    def __init__(self, text: Text, file: BinaryIO) -> None:
+        self._text = text
+        self._file = file
+        is_packed = text.path.suffix.lower() == ".gz"
+        self._blocks = _unpacked_blocks(text.path, file, text.n_bytes) if is_packed else None
+        self._block = memoryview(b"")
+
+    def fill(self, room: U8) -> int:
+        """Fill `room`; less of it only at the end of the text. Return how much."""
+        filled = 0
+        while filled < room.size:
+            n = self._some(room.data[filled:])
+            if n == 0:
+                break
+            filled += n
+        return filled
+
+    def share(self) -> float:
+        """Return the share of the file that is read, 0 to 1."""
+        return min(1.0, self._file.tell() / max(1, self._text.n_bytes))
+
+    def _some(self, room: memoryview) -> int:
+        """Read something; nothing at the end."""
+        if self._blocks is None:
+            n = self._file.readinto(room)  # type: ignore[attr-defined]
+            if n == 0 and self._file.tell() != self._text.n_bytes:
+                raise OSError("it changed while it was read")
+            return int(n)
+        while not self._block:
+            block = next(self._blocks, None)
+            if block is None:
+                return 0
+            self._block = memoryview(block)
+        n = min(len(room), len(self._block))
+        room[:n] = self._block[:n]
+        self._block = self._block[n:]
+        return n
+
+
 def _unpack(path: Path, packed: U8) -> U8:
     """Return the bytes of a gzip file, and a line feed."""
-    most = min(_MOST_UNPACKED, _MOST_RATIO * packed.size + _ALWAYS_UNPACKED)
     text = bytearray()
+    for block in _unpacked_blocks(path, io.BytesIO(packed.data), packed.size):
+        text += block
+    text += b"\n"
+    return np.frombuffer(text, np.uint8)
+
+
+def _unpacked_blocks(path: Path, packed: BinaryIO, n_bytes: int) -> Iterator[bytes]:
+    """Yield what a gzip file of so many bytes unpacks to, in blocks."""
+    most = min(_MOST_UNPACKED, _MOST_RATIO * n_bytes + _ALWAYS_UNPACKED)
+    unpacked = 0
     try:
-        for block in _unpacked(packed.data):
-            text += block
-            if len(text) > most:
+        for block in _unpacked(packed):
+            unpacked += len(block)
+            if unpacked > most:
                 raise InputError(
-                    f"{path}: unpacks to more than {most >> 20} MiB from {packed.size} bytes, "
+                    f"{path}: unpacks to more than {most >> 20} MiB from {n_bytes} bytes, "
                     "which no model does; if it is one, unpack it and name the file it gives."
                 )
+            yield block
     except EOFError:
         raise InputError(
             f"{path}: the gzip file is cut off; it is incomplete. Copy or download it again."
         ) from None
     except zlib.error as error:
         raise InputError(f"{path}: not a readable gzip file ({error}).") from None
-    if not text:
+    if not unpacked:
         raise InputError(f"{path}: the file is empty once unpacked.")
-    text += b"\n"
-    return np.frombuffer(text, np.uint8)
 
 
-def _unpacked(packed: memoryview) -> Iterator[bytes]:
+def _unpacked(packed: BinaryIO) -> Iterator[bytes]:
     """Yield what the members of a gzip file unpack to, in blocks."""
-    pos = 0
-    while pos < len(packed):
+    rest = packed.read(_PACKED_BYTES)
+    while rest:
         member = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
         while not member.eof:
-            part: bytes | memoryview = member.unconsumed_tail
-            if not part:
-                part = packed[pos : pos + _PACKED_BYTES]
-                pos += len(part)
+            part = member.unconsumed_tail or rest or packed.read(_PACKED_BYTES)
+            rest = b""
             block = member.decompress(part, _BLOCK_BYTES)
             if not part and not block:
                 raise EOFError
             yield block
-        pos -= len(member.unused_data)
-        while pos < len(packed) and packed[pos] == 0:  # padding between members
-            pos += 1
+        rest = member.unused_data.lstrip(b"\0")  # padding between members
+        while not rest and (part := packed.read(_PACKED_BYTES)):
+            rest = part.lstrip(b"\0")
 
 
 def _with_line_feed(text: bytes) -> U8:

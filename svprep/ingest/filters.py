@@ -8,7 +8,7 @@ that they have in their file.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -45,11 +45,15 @@ def is_terrain(stated: str) -> bool:
 
 
 def filtered(
-    parsed: Sequence[ParsedFile], paths: Sequence[Path], options: ReadOptions
+    parsed: Sequence[ParsedFile],
+    paths: Sequence[Path],
+    options: ReadOptions,
+    keep: Callable[[ParsedFile], ParsedFile] = lambda parsed: parsed,
 ) -> list[ParsedFile]:
     """Return the files without what `options` leave out, which their notes count.
 
-    A file of which nothing is left stays, without objects: it was read.
+    A file of which nothing is left stays, without objects: it was read. `keep` puts away what
+    is left of each file before the next one's tables are made, in memory.
 
     Raises
     ------
@@ -61,7 +65,7 @@ def filtered(
     if options.objects:
         _check_types(parsed, paths, options.objects)
     has_terrain = any(is_terrain(t) for t in {t for p in parsed for t in _types_of(p)})
-    left = [_filtered_file(p, options, has_terrain) for p in parsed]
+    left = [keep(_filtered_file(p, options, has_terrain)) for p in parsed]
     if not any(len(p.faces) for p in left) and any(len(p.faces) for p in parsed):
         n = sum(len(p.object_names) for p in parsed)
         raise InputError(

@@ -24,7 +24,7 @@ either. Files whose levels differ get a note with a warning: one may float above
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -72,6 +72,8 @@ FARTHEST_OUTSIDE_DEG: Final = 20.0
 """A city this far outside of the area of its CRS is not there. Norway's far east is within 14
 degrees of the UTM zone that the whole country uses."""
 
+Keep = Callable[[ParsedFile], ParsedFile]
+
 _BLOCK: Final = 1 << 17
 # Degrees or earth-centred, as far as a code shows it: most of EPSG's stand between these.
 _NO_PLANE: Final = re.compile(r"EPSG:(4[0-9]{3}|66(66|68)|6697|7844|7843|7842)(\+.*)?|OGC:.*")
@@ -102,8 +104,12 @@ class _Input:
         return shown(normalised_crs(self.parsed.crs))
 
 
+def _as_it_is(parsed: ParsedFile) -> ParsedFile:
+    return parsed
+
+
 def in_one_frame(
-    parsed: Sequence[ParsedFile], files: Sequence[Path]
+    parsed: Sequence[ParsedFile], files: Sequence[Path], keep: Keep = _as_it_is
 ) -> tuple[list[ParsedFile], Place]:
     """Return the files with all positions in one metric frame, and where that is.
 
@@ -114,6 +120,8 @@ def in_one_frame(
         north, as pyproj orders them with ``always_xy``; earth-centred ones as they are.
     files : sequence of Path
         Their names, for messages.
+    keep
+        Puts away each file whose positions were converted, before the next one's are.
 
     Returns
     -------
@@ -144,7 +152,7 @@ def in_one_frame(
     from pyproj.exceptions import ProjError
 
     try:
-        return _with_pyproj(parsed, files)
+        return _with_pyproj(parsed, files, keep)
     except ProjError as error:
         stated = first_few(dict.fromkeys(shown(p.crs) for p in parsed if p.crs))
         raise InputError(
@@ -153,7 +161,7 @@ def in_one_frame(
 
 
 def _with_pyproj(
-    parsed: Sequence[ParsedFile], files: Sequence[Path]
+    parsed: Sequence[ParsedFile], files: Sequence[Path], keep: Keep
 ) -> tuple[list[ParsedFile], Place]:
     """Return what `in_one_frame` does."""
     inputs = [
@@ -165,7 +173,7 @@ def _with_pyproj(
         _refuse_different([i for i in inputs if i.problem])
         return [_noted(i.parsed, i.notes) for i in inputs], Place()
     frame = _frame(first, inputs)
-    moved = [_moved(i, first, frame) for i in inputs]
+    moved = [keep(_moved(i, first, frame)) for i in inputs]
     boxes = np.stack([box for p in moved if (box := box_of_faces(p)) is not None])
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     x, y, _ = (low / 2 + high / 2).tolist()

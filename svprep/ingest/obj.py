@@ -20,89 +20,85 @@ A name that comes back continues its object. Objects are ordered by first face.
 An export of svprep begins with comments (`svprep.ingest.own_header`), which tell types,
 parents, the CRS, and names that ``o`` cannot say.
 
-The text is cut at line ends into chunks of fixed size, which threads parse
-(`svprep.kernels.obj_parser`): the result does not depend on their number.
+The text is read in blocks of about `CHUNK_BYTES`, cut at line ends, which threads parse
+(`svprep.kernels.obj_parser`) and then, once all vertices are known, triangulate: the
+result does not depend on their number. With a `Spill` no table of the file's size is held
+in memory: only blocks, and what is said of objects.
 """
 
 from __future__ import annotations
 
-import queue
 import re
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.ingest.obj_statements import decode, keyword_notes, objects_of
+from svprep.ingest.file_bytes import Text
+from svprep.ingest.obj_chunks import Chunk, Rooms, find_corner, parse_chunk
+from svprep.ingest.obj_statements import Objects, Statements, keyword_notes, objects_of
 from svprep.ingest.own_header import OwnHeader, parse_header
 from svprep.ingest.parsed import ParsedFile, Report, count_of
+from svprep.ingest.spill import Column, Spill, empty_table, release, row_blocks
+from svprep.ingest.text_blocks import Block, Buffers, in_order, text_blocks
 from svprep.ingest.triangulation import Triangulation, triangulate
 from svprep.kernels import obj_parser
-from svprep.kernels.obj_parser import ChunkCounts
-from svprep.model import F64, I32, I64, U8, U32, FaceFindings
+from svprep.model import F64, I32, I64, U32, FaceFindings
 
 CHUNK_BYTES = 2 << 20
-_BINARY_PROBE_BYTES = 4096
-_OWN_MARK = b"# svprep export "
-_NO_COMMENT = re.compile(rb"[\r\n](?!#)")
-
-_TOKEN = re.compile(rb"[^ \t\v\f\r\n\\#]*")
-
-
-class _Room(NamedTuple):
-    """Where a chunk is parsed to; see `svprep.kernels.obj_parser.parse_obj`."""
-
-    xyz: F64
-    corners: I32
-    polygon_size: I32
-    statements: I64
-    deferred: I64
+_MOST_CORNERS: Final = 1 << 19  # that are triangulated at a time
+_PROBE_BYTES: Final = 4096
+_OWN_MARK: Final = b"# svprep export "
+_NO_COMMENT: Final = re.compile(rb"[\r\n](?!#)")
 
 
-@dataclass(frozen=True, slots=True)
-class _Chunk:
-    """A parsed chunk; arrays as `svprep.kernels.obj_parser.parse_obj` fills them."""
+class _Part(NamedTuple):
+    """Where a chunk lies in the file, and what is in it."""
 
-    begin: int
-    end: int
-    counts: ChunkCounts
-    xyz: F64
-    corners: I32
-    polygon_size: I32
-    statements: I64
-    """``(n, 5)``"""
-    deferred: I64
-    """``(n, 4)``"""
+    vertex: int
+    """The first vertex, corner, polygon and line."""
+    corner: int
+    polygon: int
+    line: int
+    n_corners: int
+    n_polygons: int
+    only_triangles: bool
+    highest: int
+    """The greatest vertex of a corner."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Text:
+class _Shapes:
     """A whole parsed file, before triangulation."""
 
     positions: F64
     """``(n_vertices, 3)``"""
     corners: U32
-    polygon_start: I64
-    statements: I64
-    """``(n, 5)``; polygons and lines count from the start of the file."""
+    polygon_size: I32
+    parts: list[_Part]
+    statements: Statements
 
 
-def read_obj(data: U8, path: Path, stem: str, pool: Executor, report: Report) -> ParsedFile:
+def read_obj(
+    text: Text, stem: str, pool: Executor, report: Report, spill: Spill | None = None
+) -> ParsedFile:
     """Read the text of an OBJ file.
 
     Parameters
     ----------
-    data : (n_bytes + 1,) uint8
-        The text and a line feed behind it.
-    path, stem
-        For messages, and for an object without a name.
+    text
+        The file.
+    stem
+        Names an object without a name.
     pool
         Parses chunks.
     report
         Told the fraction that is done.
+    spill
+        Where tables go; memory if not given.
 
     Raises
     ------
@@ -113,39 +109,48 @@ def read_obj(data: U8, path: Path, stem: str, pool: Executor, report: Report) ->
     -----
     About 3 ns per byte in all, on two threads.
     """
-    _refuse_binary(data, path)
-    chunks = _parse(data, path, pool, report)
-    text = _join(data, chunks, path)
-    names, object_of_polygon, group_notes = objects_of(
-        data, text.statements, text.polygon_start.size - 1, stem
-    )
-    notes = keyword_notes(data, text.statements) + group_notes
-    if len(object_of_polygon) == 0:
+    path = text.path
+    head = _head(text)
+    _refuse_binary(head, path)
+    shapes = _parsed(text, pool, report, spill)
+    n_polygons = len(shapes.polygon_size)
+    objects = objects_of(shapes.statements, n_polygons, stem)
+    notes = keyword_notes(shapes.statements) + objects.notes
+    if n_polygons == 0:
         raise InputError(
             f"{path}: no face (f) in this file, so nothing that casts a shadow"
             + (f" ({'; '.join(notes)})." if notes else ".")
         )
-    triangulation = triangulate(text.positions, text.corners, text.polygon_start)
-    if len(triangulation.triangles) == 0:
+    parsed = _triangulated(shapes, objects, notes, pool, spill)
+    if len(parsed.faces) == 0:
         raise InputError(
-            f"{path}: none of the {count_of(len(object_of_polygon), 'face')} has three different "
+            f"{path}: none of the {count_of(n_polygons, 'face')} has three different "
             "corners, so nothing casts a shadow."
         )
     report(1.0)
-    parsed = _group(text.positions, triangulation, names, object_of_polygon, notes)
-    header = parse_header(_head_comments(data), path)
+    header = parse_header(_head_comments(text), path) if head.startswith(_OWN_MARK) else None
     return parsed if header is None else _labelled(parsed, header)
 
 
-def _head_comments(data: U8) -> list[str]:
+def _head(text: Text) -> bytes:
+    """Return the first bytes of a text."""
+    room = np.empty(_PROBE_BYTES, np.uint8)
+    with text.stream() as stream:
+        return room[: stream.fill(room)].tobytes()
+
+
+def _head_comments(text: Text) -> list[str]:
     """Return the comment lines that an export of svprep begins with, without their marks."""
-    if data[: len(_OWN_MARK)].tobytes() != _OWN_MARK:
-        return []
-    # The first byte of a line that is no comment ends them.
-    text = data.tobytes()
-    end = _NO_COMMENT.search(text)
-    head = text[: end.start() + 1 if end else len(text)].decode(errors="replace")
-    return [line[2:] for line in head.splitlines()]
+    head = b""
+    end = None
+    for block in text_blocks(text, CHUNK_BYTES, Buffers()):
+        head += block.data[: block.n_bytes].tobytes()
+        # The first byte of a line that is no comment ends them.
+        end = _NO_COMMENT.search(head)
+        if end and end.end() < len(head):
+            break
+    head = head[: end.start() + 1] if end else head
+    return [line[2:] for line in head.decode(errors="replace").splitlines()]
 
 
 def _labelled(parsed: ParsedFile, header: OwnHeader) -> ParsedFile:
@@ -164,9 +169,8 @@ def _labelled(parsed: ParsedFile, header: OwnHeader) -> ParsedFile:
     )
 
 
-def _refuse_binary(data: U8, path: Path) -> None:
+def _refuse_binary(head: bytes, path: Path) -> None:
     """Raise `InputError` for what is not text in any encoding that OBJ files use."""
-    head = data[:_BINARY_PROBE_BYTES].tobytes()
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{path}: this is UTF-16 text; save it as UTF-8.")
     if b"\0" in head:
@@ -175,208 +179,175 @@ def _refuse_binary(data: U8, path: Path) -> None:
         )
 
 
-def _parse(data: U8, path: Path, pool: Executor, report: Report) -> list[_Chunk]:
+def _parsed(text: Text, pool: Executor, report: Report, spill: Spill | None) -> _Shapes:
     """Parse all chunks; raise at the first statement that cannot be read."""
-    begin = 3 if data[:3].tobytes() == b"\xef\xbb\xbf" else 0
-    bounds = _chunk_bounds(data, begin)
-    room = max(end - begin for begin, end in bounds)
-    rooms: queue.SimpleQueue[_Room] = queue.SimpleQueue()
+    buffers, rooms = Buffers(), Rooms()
 
-    def parse(bound: tuple[int, int]) -> _Chunk:
-        try:
-            arrays = rooms.get_nowait()
-        except queue.Empty:
-            arrays = _room(room)
-        chunk = _parse_chunk(data, *bound, -1, arrays)
-        rooms.put(arrays)
-        return chunk
+    def parse(numbered: tuple[int, Block]) -> tuple[Chunk, float]:
+        i, block = numbered
+        chunk = parse_chunk(block, i == 0, rooms)
+        buffers.give_back(block.data)
+        return chunk, block.share
 
-    chunks = []
-    for chunk in pool.map(parse, bounds):
-        chunks.append(chunk)
-        if chunk.counts.status:
-            raise _statement_error(data, chunks, path)
-        report(chunk.end / data.size)
-    return chunks
-
-
-def _chunk_bounds(data: U8, begin: int) -> list[tuple[int, int]]:
-    """Cut the text into chunks of whole statements."""
-    bounds = []
-    while begin < data.size:
-        end = _statement_end(data, begin + CHUNK_BYTES)
-        bounds.append((begin, end))
-        begin = end
-    return bounds
-
-
-def _statement_end(data: U8, pos: int) -> int:
-    """Return the first byte behind a line that ends at `pos` or later and is not continued."""
-    window = 4096
-    while pos < data.size:
-        part = data[pos : pos + window]
-        ends = np.flatnonzero((part == 0x0A) | (part == 0x0D))
-        if ends.size == 0:
-            pos += part.size
-            window *= 2
-            continue
-        last = before = pos + int(ends[0])
-        if data[last : last + 2].tobytes() == b"\r\n":
-            last += 1
-        while before > 0 and data[before] in b" \t\v\f\r\n":
-            before -= 1
-        pos = last + 1
-        if data[before] != 0x5C:
-            return pos
-    return int(data.size)
-
-
-def _room(n_bytes: int) -> _Room:
-    """Return arrays that hold whatever a chunk may contain. Untouched pages cost nothing."""
-    return _Room(
-        np.empty(3 * (n_bytes // 8 + 1), np.float64),
-        np.empty(n_bytes // 2 + 1, np.int32),
-        np.empty(n_bytes // 2 + 1, np.int32),
-        np.empty(obj_parser.STATEMENT_COLUMNS * (n_bytes // 2 + 1), np.int64),
-        np.empty(obj_parser.DEFERRED_COLUMNS * (n_bytes // 5 + 1), np.int64),
-    )
-
-
-def _parse_chunk(data: U8, begin: int, end: int, stop_corner: int, room: _Room) -> _Chunk:
-    """Parse one chunk and copy what was found out of the `room`."""
-    counts = ChunkCounts(*obj_parser.parse_obj(data, begin, end, stop_corner, *room))
-    n, m = obj_parser.STATEMENT_COLUMNS, obj_parser.DEFERRED_COLUMNS
-    return _Chunk(
-        begin,
-        end,
-        counts,
-        room.xyz[: 3 * counts.n_vertices].copy(),
-        room.corners[: counts.n_corners].copy(),
-        room.polygon_size[: counts.n_polygons].copy(),
-        room.statements[: n * counts.n_statements].reshape(-1, n).copy(),
-        room.deferred[: m * counts.n_deferred].reshape(-1, m).copy(),
-    )
-
-
-def _token_at(data: U8, pos: int) -> str:
-    """Return the token at a byte, shortened for a message."""
-    match = _TOKEN.match(data[pos : pos + 200].tobytes())
-    token = decode(match.group()) if match else ""
-    return token if len(token) <= 40 else token[:37] + "..."
-
-
-def _statement_error(data: U8, chunks: list[_Chunk], path: Path) -> InputError:
-    """Say what stopped the parser in the last of `chunks`."""
-    counts = chunks[-1].counts
-    line = counts.stop_line + sum(chunk.counts.n_lines for chunk in chunks[:-1])
-    where = f"{path}, line {line}: "
-    if counts.status == obj_parser.FEW_NUMBERS:
-        found = count_of(counts.stop_byte, "number")
-        return InputError(f"{where}a vertex (v) with {found}; x, y and z are needed.")
-    token = _token_at(data, counts.stop_byte)
-    if counts.status == obj_parser.ZERO_INDEX:
-        return InputError(f"{where}face refers to vertex 0, but OBJ counts vertices from 1.")
-    if counts.status == obj_parser.BAD_INDEX:
-        return InputError(f'{where}"{token}" in a face (f) is not a vertex index.')
-    if re.fullmatch(r"[+-]?(nan|inf|infinity|[0-9.]*#.*)(\(.*)?", token, re.IGNORECASE):
-        return _not_finite(where, token)
-    hint = " (decimals take a point, not a comma)" if "," in token else ""
-    return InputError(f'{where}"{token}" in a vertex (v) is not a number{hint}.')
-
-
-def _not_finite(where: str, token: str) -> InputError:
-    return InputError(
-        f'{where}"{token}" in a vertex (v) is not a finite coordinate; remove or repair it.'
-    )
-
-
-def _join(data: U8, chunks: list[_Chunk], path: Path) -> _Text:
-    """Put the chunks together: numbers left to ``float()``, relative indices, line numbers."""
-    n_vertices = np.array([chunk.counts.n_vertices for chunk in chunks])
-    first_vertex = np.cumsum(n_vertices) - n_vertices
-    n_total = int(n_vertices.sum())
-    if n_total >= obj_parser.RELATIVE:
-        raise InputError(
-            f"{path}: {n_total} vertices; one file may hold {obj_parser.RELATIVE - 1}. Split it."
+    positions = Column(np.float64, 3, spill)
+    corners = Column(np.int32, 0, spill)
+    sizes = Column(np.int32, 0, spill)
+    statements, parts = Statements(), list[_Part]()
+    line = 0
+    blocks = enumerate(text_blocks(text, CHUNK_BYTES, buffers))
+    for chunk, share in in_order(pool, parse, blocks):
+        if chunk.problem is not None:
+            raise InputError(f"{text.path}, line {line + chunk.problem[0]}: {chunk.problem[1]}")
+        found = _resolved(chunk.corners, len(positions))
+        part = _Part(
+            vertex=len(positions),
+            corner=len(corners),
+            polygon=len(sizes),
+            line=line,
+            n_corners=len(found),
+            n_polygons=len(chunk.polygon_size),
+            only_triangles=bool(chunk.counts.only_triangles),
+            highest=int(found.max(initial=-1)),
         )
-    first_line = first_polygon = 0
-    statements = []
-    for i, chunk in enumerate(chunks):
-        for slot, begin, end, line in chunk.deferred.tolist():
-            value = float(data[begin:end].tobytes())
-            if value - value != 0.0:
-                where = f"{path}, line {first_line + line}: "
-                raise _not_finite(where, _token_at(data, begin))
-            chunk.xyz[slot] = value
-        corners = chunk.corners
-        is_relative = corners < 0
-        if is_relative.any():
-            absolute = corners[is_relative].astype(np.int64) + obj_parser.RELATIVE
-            absolute += first_vertex[i]
-            corners[is_relative] = np.where(absolute < 0, obj_parser.PAST_END, absolute)
-        if corners.size and corners.max() >= n_total:
-            bad = int(np.argmax(corners >= n_total))
-            raise _index_error(data, chunk, bad, first_line, int(first_vertex[i]), n_total, path)
-        chunk.statements[:, 3] += first_polygon
-        chunk.statements[:, 4] += first_line
-        statements.append(chunk.statements)
-        first_polygon += chunk.counts.n_polygons
-        first_line += chunk.counts.n_lines
-    if all(chunk.counts.only_triangles for chunk in chunks):
-        polygon_start = np.arange(0, 3 * first_polygon + 1, 3)
-    else:
-        sizes = np.concatenate([chunk.polygon_size for chunk in chunks])
-        polygon_start = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
-    return _Text(
-        np.concatenate([chunk.xyz for chunk in chunks]).reshape(-1, 3),
-        np.concatenate([chunk.corners for chunk in chunks]).view(np.uint32),
-        polygon_start,
-        np.concatenate(statements),
+        parts.append(part)
+        statements.add(chunk.statements, part.polygon, line)
+        positions.append(chunk.xyz, share)
+        corners.append(found, share)
+        sizes.append(chunk.polygon_size, share)
+        line += chunk.counts.n_lines
+        report(share)
+    n_vertices = len(positions)
+    if n_vertices >= obj_parser.RELATIVE:
+        raise InputError(
+            f"{text.path}: {n_vertices} vertices; one file may hold {obj_parser.RELATIVE - 1}. "
+            "Split it."
+        )
+    shapes = _Shapes(
+        positions.table(), corners.table().view(np.uint32), sizes.table(), parts, statements
     )
+    bad = next((i for i, part in enumerate(parts) if part.highest >= n_vertices), None)
+    if bad is not None:
+        raise _index_error(text, shapes, bad)
+    return shapes
 
 
-def _index_error(
-    data: U8, chunk: _Chunk, corner: int, first_line: int, first_vertex: int, total: int, path: Path
-) -> InputError:
-    """Say where the index of a corner stands that no vertex has."""
-    room = _room(chunk.end - chunk.begin)
-    found = _parse_chunk(data, chunk.begin, chunk.end, corner, room).counts
-    token = _token_at(data, found.stop_byte).split("/")[0]
+def _resolved(corners: I32, first_vertex: int) -> I32:
+    """Return corners of a chunk with relative indices turned into vertices of the file."""
+    if corners.size and corners.min() < 0:
+        is_relative = corners < 0
+        absolute = corners[is_relative].astype(np.int64) + obj_parser.RELATIVE + first_vertex
+        corners[is_relative] = np.where(absolute < 0, obj_parser.PAST_END, absolute)
+    return corners
+
+
+def _index_error(text: Text, shapes: _Shapes, bad: int) -> InputError:
+    """Say where the first index of a part stands that no vertex has."""
+    part, total = shapes.parts[bad], len(shapes.positions)
+    corners = shapes.corners[part.corner : part.corner + part.n_corners]
+    blocks = text_blocks(text, CHUNK_BYTES, Buffers())
+    block = next(block for i, block in enumerate(blocks) if i == bad)
+    line, n_vertices, token = find_corner(block, bad == 0, int(np.argmax(corners >= total)))
     if token.startswith("-"):
-        scope = f"only {count_of(first_vertex + found.n_vertices, 'vertex', 'vertices')} are "
+        scope = f"only {count_of(part.vertex + n_vertices, 'vertex', 'vertices')} are "
         scope += "defined before it"
     else:
         scope = f"only {count_of(total, 'vertex', 'vertices')} are defined in the file"
     scope = scope.replace("1 vertex are", "1 vertex is")
     return InputError(
-        f"{path}, line {first_line + found.stop_line}: face refers to vertex {token}, but {scope}."
+        f"{text.path}, line {part.line + line}: face refers to vertex {token}, but {scope}."
     )
 
 
-def _group(
-    positions: F64,
-    triangulation: Triangulation,
-    names: tuple[str, ...],
-    object_of_polygon: I64,
-    notes: list[str],
+def _triangulated(
+    shapes: _Shapes, objects: Objects, notes: list[str], pool: Executor, spill: Spill | None
 ) -> ParsedFile:
-    """Gather the triangles of each object, in file order."""
-    faces, source_face, finding = triangulation
-    object_of_face = object_of_polygon[source_face]
-    if (object_of_face[1:] < object_of_face[:-1]).any():
-        order = np.argsort(object_of_face, kind="stable")
-        faces, source_face = faces[order], source_face[order]
-    counts = np.bincount(object_of_face, minlength=len(names))
-    found = np.flatnonzero(finding)
-    findings = FaceFindings(
-        finding[found], object_of_polygon[found].astype(np.uint32), found.astype(np.uint32)
-    )
+    """Triangulate part by part, and gather the triangles of each object, in file order."""
+
+    def work(part: _Part) -> tuple[_Part, Triangulation]:
+        corners = shapes.corners[part.corner : part.corner + part.n_corners]
+        sizes = shapes.polygon_size[part.polygon : part.polygon + part.n_polygons]
+        start = (
+            np.arange(0, part.n_corners + 1, 3)
+            if part.only_triangles
+            else np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
+        )
+        return part, triangulate(shapes.positions, corners, start)
+
+    faces, polygons = Column(np.uint32, 3, spill), Column(np.uint32, 0, spill)
+    counts = np.zeros(len(objects.names), np.int64)
+    codes, found_objects, found_polygons = [], [], []
+    n_polygons = len(shapes.polygon_size)
+    for part, (triangles, polygon, finding) in in_order(pool, work, _larger(shapes.parts)):
+        share = (part.polygon + part.n_polygons) / n_polygons
+        polygon += np.uint32(part.polygon)
+        faces.append(triangles, share)
+        polygons.append(polygon, share)
+        runs, first = _runs_of(objects, part.polygon, part.n_polygons)
+        np.add.at(counts, objects.object_of_run[runs], _counts(polygon, first))
+        found = np.flatnonzero(finding)
+        run = runs.start + np.searchsorted(first, found + part.polygon, "right") - 1
+        codes.append(finding[found])
+        found_objects.append(objects.object_of_run[run].astype(np.uint32))
+        found_polygons.append((found + part.polygon).astype(np.uint32))
+        for used in (shapes.positions, shapes.corners, shapes.polygon_size):
+            release(used)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    grouped = _grouped(faces.table(), polygons.table(), objects, start, spill)
+    findings = FaceFindings(*map(np.concatenate, (codes, found_objects, found_polygons)))
     return ParsedFile(
-        positions,
-        np.ascontiguousarray(faces),
-        np.concatenate([[0], np.cumsum(counts)]),
-        source_face,
-        names,
-        findings,
-        tuple(notes),
+        shapes.positions, grouped[0], start, grouped[1], objects.names, findings, tuple(notes)
     )
+
+
+def _larger(parts: list[_Part]) -> list[_Part]:
+    """Return parts with neighbours joined: NumPy takes its time for a call. None is empty."""
+    joined: list[_Part] = []
+    for part in parts:
+        last = joined[-1] if joined else None
+        if last is not None and last.n_corners + part.n_corners <= _MOST_CORNERS:
+            joined[-1] = last._replace(
+                n_corners=last.n_corners + part.n_corners,
+                n_polygons=last.n_polygons + part.n_polygons,
+                only_triangles=last.only_triangles and part.only_triangles,
+            )
+        elif part.n_polygons:
+            joined.append(part)
+    return joined
+
+
+def _runs_of(objects: Objects, polygon: int, n: int) -> tuple[slice, I64]:
+    """Return the runs that n polygons belong to, and where each of them begins."""
+    starts = objects.run_start
+    begin = int(np.searchsorted(starts, polygon, "right")) - 1
+    end = int(np.searchsorted(starts, polygon + n, "left"))
+    runs = slice(begin, max(begin, min(end, len(starts) - 1)))
+    return runs, starts[runs]
+
+
+def _counts(polygon_of_triangle: U32, first: I64) -> I64:
+    """Return how many triangles each run has; polygons ascend, before all but the first run."""
+    at = np.searchsorted(polygon_of_triangle, first[1:].astype(np.uint32))
+    return np.diff(np.concatenate([[0], at, [len(polygon_of_triangle)]])[: len(first) + 1])
+
+
+def _grouped(
+    faces: U32, polygons: U32, objects: Objects, start: I64, spill: Spill | None
+) -> tuple[U32, U32]:
+    """Return triangles and their polygons grouped by object, each object's in file order."""
+    owner = objects.object_of_run
+    if not (owner[1:] < owner[:-1]).any():
+        return faces, polygons
+    new_faces = empty_table(np.uint32, faces.shape, spill)
+    new_polygons = empty_table(np.uint32, polygons.shape, spill)
+    following = start[:-1].copy()
+    for some_faces, some_polygons in row_blocks(faces, polygons):
+        run = np.searchsorted(objects.run_start, some_polygons, "right") - 1
+        of = owner[run]
+        order = np.argsort(of, kind="stable")
+        present, first, n = np.unique(of[order], return_index=True, return_counts=True)
+        place = np.repeat(following[present] - first, n) + np.arange(len(order))
+        new_faces[place], new_polygons[place] = some_faces[order], some_polygons[order]
+        following[present] += n
+        release(new_faces)
+        release(new_polygons)
+    return new_faces, new_polygons

@@ -6,6 +6,9 @@ The rule by which names make objects stands in `svprep.ingest.obj`.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
+from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,77 +63,136 @@ def decode(text: bytes) -> str:
         return text.decode("latin-1")
 
 
-def _name(data: U8, begin: int, end: int) -> bytes:
-    """Return the bytes of an ``o`` or ``g`` statement with single blanks."""
-    text = _CONTINUATION.sub(b" ", data[begin:end].tobytes())
-    return b" ".join(text.split()) if decode(text).split() else b"default"
+class Keyword(NamedTuple):
+    """A keyword other than those of shapes and names."""
+
+    n: int
+    """How many statements have it."""
+    text: bytes
+    line: int
+    """Of the first one."""
+
+
+@dataclass(slots=True)
+class Statements:
+    """What the statements of a file say besides shapes, gathered block by block."""
+
+    names: list[bytes] = field(default_factory=list)
+    """Of every ``o`` and ``g`` statement."""
+    is_object: list[bool] = field(default_factory=list)
+    """Whether it is an ``o`` statement."""
+    polygon: list[int] = field(default_factory=list)
+    """How many polygons stand before it."""
+    keywords: dict[int, Keyword] = field(default_factory=dict)
+    """By the parser's hash, in the order of the first statement of each."""
+
+    def add(self, block: Statements, first_polygon: int, first_line: int) -> None:
+        """Add those of a block, which counts polygons and lines from its own start."""
+        self.names += block.names
+        self.is_object += block.is_object
+        self.polygon += [first_polygon + polygon for polygon in block.polygon]
+        for key, (n, text, line) in block.keywords.items():
+            before = self.keywords.get(key)
+            self.keywords[key] = (
+                Keyword(n, text, first_line + line)
+                if before is None
+                else before._replace(n=before.n + n)
+            )
+
+
+def statements_of(data: U8, rows: I64) -> Statements:
+    """Return what the parser's ``(n, 5)`` rows of statements of a block say."""
+    is_object = rows[:, 0] == ord("o")
+    is_name = is_object | (rows[:, 0] == ord("g"))
+    text = data.data
+    begin, end = rows[is_name, 1].tolist(), rows[is_name, 2].tolist()
+    names = [_name(bytes(text[i:j])) for i, j in zip(begin, end, strict=True)]
+    others = rows[~is_name]
+    _, first, counts = np.unique(others[:, 0], return_index=True, return_counts=True)
+    keywords = {}
+    for row, n in sorted(zip(first.tolist(), counts.tolist(), strict=True)):
+        key, i, j, _, line = others[row].tolist()
+        keywords[key] = Keyword(n, bytes(text[i:j]), line)
+    return Statements(names, is_object[is_name].tolist(), rows[is_name, 3].tolist(), keywords)
+
+
+def _name(text: bytes) -> bytes:
+    """Return the text behind ``o`` or ``g`` with single blanks."""
+    if b"\\" in text:
+        text = _CONTINUATION.sub(b" ", text)
+    name = b" ".join(text.split())
+    return name if name[:1].isalnum() or decode(text).split() else b"default"
 
 
 def _readable(name: bytes) -> str:
-    return " ".join(decode(name).split())
+    text = decode(name)
+    return text if text.isprintable() else " ".join(text.split())
 
 
-def objects_of(
-    data: U8, statements: I64, n_polygons: int, stem: str
-) -> tuple[tuple[str, ...], I64, list[str]]:
+class Objects(NamedTuple):
+    """Which polygons make which object."""
+
+    names: tuple[str, ...]
+    run_start: I64
+    """``(n_runs + 1,)``: run i is the polygons ``[start[i], start[i + 1])``."""
+    object_of_run: I64
+    notes: list[str]
+
+
+def objects_of(said: Statements, n_polygons: int, stem: str) -> Objects:
     """Return the objects' names, the object of each polygon, and what is to be noted.
 
     Names that differ in a byte are different, though they may read the same: "café" in
     UTF-8 and in Latin-1.
     """
     stem_name = stem.encode(errors="replace")
-    is_name = np.isin(statements[:, 0], [ord("o"), ord("g")])
-    rows = [
-        (chr(key), _name(data, begin, end), polygon)
-        for key, begin, end, polygon, _ in statements[is_name].tolist()
-    ]
-    o_names = {name for key, name, _ in rows if key == "o"}
-    groups = {name for key, name, _ in rows if key == "g" and name != b"default"}
-    if o_names == {b"default"}:
-        o_names = set()
-    if len(o_names) == 1 and len(groups) >= 2:
-        before, used = stem_name, _groups_of_one_object(rows, stem_name)
+    of_group, of_object = (
+        [name for name, is_object in zip(said.names, said.is_object, strict=True) if is_object is k]
+        for k in (False, True)
+    )
+    has_objects = set(of_object) not in (set(), {b"default"})
+    if has_objects and len(set(of_object)) == 1 and len(set(of_group) - {b"default"}) >= 2:
+        before, polygon, parts = stem_name, said.polygon, _groups_of_one_object(said, stem_name)
+        words = [p[0] if w == b"default" else w for p, w in zip(parts, said.names, strict=True)]
     else:
-        wanted = "o" if o_names else "g"
-        used = [((name,), name, polygon) for key, name, polygon in rows if key == wanted]
-        before = b"default" if used and wanted == "g" else stem_name
-    starts = [0, *(polygon for _, _, polygon in used), n_polygons]
+        words = of_object if has_objects else of_group
+        at = zip(said.polygon, said.is_object, strict=True)
+        polygon = [first for first, is_object in at if is_object is has_objects]
+        parts = [(name,) for name in words]
+        before = b"default" if words and not has_objects else stem_name
+    start = np.array([0, *polygon, n_polygons], np.int64)
+    is_full = np.diff(start) > 0
     names: dict[bytes, int] = {}
     filled: set[bytes] = set()
     objects = []
-    for i, parts in enumerate([(before,), *(parts for parts, _, _ in used)]):
-        is_empty = starts[i] == starts[i + 1]
-        objects.append(-1 if is_empty else names.setdefault(b"/".join(parts), len(names)))
-        filled.update(() if is_empty else parts)
-    empty = {said: b"/".join(parts) for parts, said, _ in used if said not in filled}
+    for full in compress([(before,), *parts], is_full.tolist()):
+        objects.append(names.setdefault(b"/".join(full), len(names)))
+        filled.update(full)
+    empty = {w: b"/".join(p) for w, p in zip(words, parts, strict=True) if w not in filled}
     notes = []
     if empty:
         listed = first_few([f'"{shown(_readable(name))}"' for name in empty.values()])
         notes.append(f"{count_of(len(empty), 'object')} without faces left out: {listed}")
-    return tuple(map(_readable, names)), np.repeat(objects, np.diff(starts)), notes
+    run_start = np.append(start[:-1][is_full], n_polygons)
+    return Objects(tuple(map(_readable, names)), run_start, np.array(objects, np.int64), notes)
 
 
-def _groups_of_one_object(
-    rows: list[tuple[str, bytes, int]], stem: bytes
-) -> list[tuple[tuple[bytes, ...], bytes, int]]:
-    """Return at each statement: object and group (none if it is ``default``), its name, polygon."""
-    used: list[tuple[tuple[bytes, ...], bytes, int]] = []
+def _groups_of_one_object(said: Statements, stem: bytes) -> list[tuple[bytes, ...]]:
+    """Return the object and the group (none if it is ``default``) from each statement on."""
+    parts: list[tuple[bytes, ...]] = []
     current, group = stem, b"default"
-    for key, name, polygon in rows:
-        current, group = (name, group) if key == "o" else (current, name)
-        parts = (current,) if group == b"default" else (current, group)
-        used.append((parts, parts[0] if name == b"default" else name, polygon))
-    return used
+    for is_object, name in zip(said.is_object, said.names, strict=True):
+        current, group = (name, group) if is_object else (current, name)
+        parts.append((current,) if group == b"default" else (current, group))
+    return parts
 
 
-def keyword_notes(data: U8, statements: I64) -> list[str]:
+def keyword_notes(statements: Statements) -> list[str]:
     """Say which elements are no surfaces, and which keywords OBJ does not have."""
-    _, first, counts = np.unique(statements[:, 0], return_index=True, return_counts=True)
     notes, unknown = [], []
-    for row, n in sorted(zip(first.tolist(), counts.tolist(), strict=True)):
-        key, begin, end, _, line = statements[row].tolist()
-        keyword = decode(data[begin:end].tobytes())
-        if key in (ord("o"), ord("g")) or keyword in _SILENT:
+    for n, text, line in statements.keywords.values():
+        keyword = decode(text)
+        if keyword in _SILENT:
             continue
         if keyword in _ELEMENTS:
             if keyword == "surf":

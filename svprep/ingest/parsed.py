@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from svprep.errors import InputError
+from svprep.ingest.spill import Spill, row_blocks, spilled
 from svprep.model import BOOL, F64, I64, U8, U32, FaceFindings
 
 Report = Callable[[float], None]
@@ -45,6 +46,25 @@ class ParsedFile:
     """As the file states it; positions are in its units, x to the east, y to the north."""
 
 
+def in_files(parsed: ParsedFile, spill: Spill | None) -> ParsedFile:
+    """Return a file with its tables in mapped files, if there is a `spill`."""
+    if spill is None:
+        return parsed
+    return replace(
+        parsed,
+        positions=spilled(parsed.positions, spill),
+        faces=spilled(parsed.faces, spill),
+        source_face=spilled(parsed.source_face, spill),
+        surface_of_polygon=spilled(parsed.surface_of_polygon, spill),
+    )
+
+
+def bytes_of_tables(parsed: ParsedFile) -> int:
+    """Return what the tables that grow with polygons take in memory."""
+    tables = parsed.positions, parsed.faces, parsed.source_face, parsed.surface_of_polygon
+    return sum(table.nbytes for table in tables)
+
+
 def no_findings() -> FaceFindings:
     """Return an empty list of findings."""
     return FaceFindings(np.empty(0, np.uint16), np.empty(0, np.uint32), np.empty(0, np.uint32))
@@ -53,7 +73,8 @@ def no_findings() -> FaceFindings:
 def is_used(parsed: ParsedFile) -> BOOL:
     """Return ``(n_vertices,)``: whether each is the corner of a face."""
     found = np.zeros(len(parsed.positions), bool)
-    found[parsed.faces.ravel()] = True
+    for (faces,) in row_blocks(parsed.faces):
+        found[faces.ravel()] = True
     return found
 
 
@@ -62,8 +83,12 @@ def box_of_faces(parsed: ParsedFile) -> F64 | None:
     if not len(parsed.faces):
         return None
     found = is_used(parsed)
-    points = parsed.positions if found.all() else parsed.positions[found]
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+    boxes = [
+        np.stack([points.min(axis=0), points.max(axis=0)])
+        for positions, is_corner in row_blocks(parsed.positions, found)
+        if len(points := positions if is_corner.all() else positions[is_corner])
+    ]
+    return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
 
 def count_of(n: int, singular: str, plural: str = "") -> str:

@@ -97,6 +97,9 @@ def triangulate(positions: F64, corners: U32, polygon_start: I64) -> Triangulati
         if kept.size < size.size:
             triangles = triangles[kept]
         return Triangulation(triangles, kept.astype(np.uint32), finding)
+    is_triangle = size == 3
+    if is_triangle.any():
+        return _triangles_apart(positions, corners, size, is_triangle)
 
     ring, start, is_short = _rings(corners, size)
     finding[is_short] = _SHORT
@@ -136,6 +139,25 @@ def triangulate(positions: F64, corners: U32, polygon_start: I64) -> Triangulati
         rows = np.repeat(first_row[polygons], n_rows) + within
         triangles[rows] = ring[ears + np.repeat(start[polygons], n_rows)[:, None]]
         finding[polygons[is_crossing]] = _CROSSING
+    return Triangulation(triangles, polygon_of_triangle, finding)
+
+
+def _triangles_apart(positions: F64, corners: U32, size: I64, is_triangle: BOOL) -> Triangulation:
+    """Triangulate polygons of which some are triangles, which most of a city's are."""
+    is_of_triangle = np.repeat(is_triangle, size)
+    apart = []
+    for is_one, of_one in ((is_triangle, is_of_triangle), (~is_triangle, ~is_of_triangle)):
+        start = np.concatenate([[0], np.cumsum(size[is_one])])
+        apart.append(triangulate(positions, corners[of_one], start))
+    finding = np.empty(size.size, np.uint16)
+    n_rows = np.empty(size.size, np.int64)
+    for is_one, found in zip((is_triangle, ~is_triangle), apart, strict=True):
+        finding[is_one] = found.finding
+        n_rows[is_one] = np.bincount(found.polygon_of_triangle, minlength=len(found.finding))
+    is_row = np.repeat(is_triangle, n_rows)
+    triangles = np.empty((is_row.size, 3), np.uint32)
+    triangles[is_row], triangles[~is_row] = apart[0].triangles, apart[1].triangles
+    polygon_of_triangle = np.repeat(np.arange(size.size, dtype=np.uint32), n_rows)
     return Triangulation(triangles, polygon_of_triangle, finding)
 
 
@@ -194,6 +216,10 @@ def _classify(p: F64) -> tuple[BOOL, NDArray[np.uint16], I64]:
     axes : (n_rings, 2) int64
         The two coordinates in which the ring runs counter-clockwise.
     """
+    if p.shape[2] == 1:
+        # NumPy adds up a single column in another order: no ring may depend on the others.
+        is_fan, finding, axes = _classify(np.repeat(p, 2, axis=2))
+        return is_fan[:1], finding[:1], axes[:1]
     ring = np.arange(p.shape[2])
     x, y, z = p
     following_x, following_y, following_z = (_following(c) for c in p)

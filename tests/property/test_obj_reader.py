@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from svprep.defects import Code
 from svprep.errors import InputError
 from svprep.ingest import obj
+from svprep.ingest.file_bytes import Text
 from svprep.ingest.parsed import ParsedFile
 from svprep.ingest.triangulation import LARGE_RING, MOST_EARCUT, triangulate
 
@@ -23,8 +24,8 @@ POOL = ThreadPoolExecutor(2)
 
 def read_text(text: str | bytes) -> ParsedFile:
     raw = text if isinstance(text, bytes) else text.encode()
-    data = np.frombuffer(bytearray(raw) + b"\n", np.uint8)
-    return obj.read_obj(data, Path("t.obj"), "t", POOL, lambda fraction: None)
+    file = Text(Path("t.obj"), len(raw), raw)
+    return obj.read_obj(file, "t", POOL, lambda fraction: None)
 
 
 # --- the twin
