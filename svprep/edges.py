@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from svprep.kernels.half_edges import count_edge_rows, write_edge_rows
+from svprep.kernels.half_edges import write_edge_rows
 from svprep.model import Components, EdgeTable, PlaneTable
-from svprep.repair.split import sort_stably
 from svprep.repair.stage import Repaired
 
 
@@ -35,29 +34,28 @@ def build_edges(repaired: Repaired, planes: PlaneTable) -> tuple[EdgeTable, Comp
     Plain twin: `reference.edge_rows`.
     """
     mesh, groups = repaired.mesh, repaired.groups
-    row_start = np.empty(len(groups.start), np.int64)
-    count_edge_rows(mesh.faces, groups.order, groups.start, repaired.mate, row_start)
-    rows = np.empty((int(row_start[-1]), 4), np.uint32)
+    n_components = len(repaired.component_flags)
+    component_of_face = np.repeat(
+        np.arange(n_components, dtype=np.int32), np.diff(repaired.component_face_start)
+    )
+    singles = component_of_face[np.flatnonzero(repaired.mate < 0) // 3]
+    # A record for each single half-edge, and one for each two that are paired.
+    n_sides = 3 * np.diff(repaired.component_face_start)
+    n_rows = (n_sides + np.bincount(singles, minlength=n_components)) // 2
+    edge_start = np.concatenate(([0], np.cumsum(n_rows)))
+    rows = np.empty((int(edge_start[-1]), 4), np.uint32)
     flags = np.empty(len(rows), np.uint8)
     write_edge_rows(
         mesh.faces,
         groups.order,
         groups.start,
         repaired.mate,
-        row_start,
+        component_of_face,
+        edge_start[:-1].copy(),
         planes.plane_of_face,
         rows,
         flags,
     )
-    n_components = len(repaired.component_flags)
-    component_of_face = np.repeat(
-        np.arange(n_components, dtype=np.int32), np.diff(repaired.component_face_start)
-    )
-    # NO_INDEX is the highest uint32, so the lower face is always a real one.
-    component_of_row = component_of_face[np.minimum(rows[:, 2], rows[:, 3])]
-    order, edge_start = sort_stably(component_of_row, n_components)
-    if not (order[1:] > order[:-1]).all():
-        rows, flags = rows[order], flags[order]
     components = Components(
         object_start=repaired.component_start,
         face_start=repaired.component_face_start,

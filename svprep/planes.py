@@ -6,7 +6,6 @@ import numpy as np
 
 from svprep.kernels.surface import face_normals, grow_planes, shape_hashes
 from svprep.model import F64, I32, MOST_TILT_RAD, Grid, Mesh, PlaneTable
-from svprep.repair.grid import grid_coordinates
 from svprep.repair.stage import Repaired
 
 
@@ -44,7 +43,7 @@ def build_planes(
     """
     mesh = repaired.mesh
     tolerance_m = default_planar_tolerance_m(mesh.grid) if tolerance_m is None else tolerance_m
-    points = grid_coordinates(mesh.positions, mesh.grid)
+    points = repaired.points
     normals = np.empty((len(mesh.faces), 3))
     face_normals(points, mesh.faces, normals)
     seed_of_face = np.full(len(mesh.faces), -1, np.int32)

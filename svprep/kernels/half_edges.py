@@ -222,6 +222,7 @@ def pair_half_edges(
     ``order[edge_start[e]:edge_start[e + 1]]``; no edge has more than `most`
     half-edges; ``mate (3 n_faces,) int32``.
     """
+    n_turns = min(most, 2)  # always 2 where it counts; a constant would compile twice the code
     key = np.empty(most, np.float64)
     opens = np.empty(most, np.bool_)
     third = np.empty((most, 3), np.int32)
@@ -290,7 +291,7 @@ def pair_half_edges(
             if angle < -_TIE_RAD:
                 angle += 2.0 * math.pi
             key[i] = 0.0 if angle < _TIE_RAD or angle > 2.0 * math.pi - _TIE_RAD else angle
-        for turn in range(2):
+        for turn in range(n_turns):
             _merge_sort(index, scratch, k, key, opens, third, half_edge)
             if turn == 0:  # number the directions, then sort within each
                 direction = 0.0
@@ -301,7 +302,7 @@ def pair_half_edges(
                         direction += 1.0
                     previous = angle
                     key[index[j]] = direction
-        for turn in range(2):
+        for turn in range(n_turns):
             n = 0
             for j in range(k):
                 h = half_edge[index[j]]
@@ -312,32 +313,73 @@ def pair_half_edges(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def count_edge_rows(faces, order, edge_start, mate, row_start):
-    """Write to ``row_start`` (n_edges + 1) where each edge's records begin."""
-    n_rows = 0
-    for e in range(len(edge_start) - 1):
-        row_start[e] = n_rows
-        for j in range(edge_start[e], edge_start[e + 1]):
-            h = order[j]
-            f = h // 3
-            c = h - 3 * f
-            if faces[f, c] < faces[f, c + 1 if c < 2 else 0] or mate[h] < 0:
-                n_rows += 1
-    row_start[len(edge_start) - 1] = n_rows
+def rebuild_faces(faces, is_flipped, mate, order, rebuilt, rebuilt_mate, old_vertex):
+    """Write the faces of `order` anew, turned if flipped, with vertices numbered by first use.
+
+    A turned face (a, b, c) is (a, c, b): its corners 1 and 2 change places, its sides
+    0 and 2.
+
+    Parameters
+    ----------
+    faces : ndarray
+        ``(n_faces, 3) uint32``
+    is_flipped : ndarray
+        ``(n_faces,) bool``
+    mate : ndarray
+        ``(3 n_faces,) int32``: -1, or a half-edge of another face of `order`.
+    order : ndarray
+        ``(n,) int32``: different faces.
+    rebuilt : ndarray
+        ``(n, 3) uint32``, written.
+    rebuilt_mate : ndarray
+        ``(3 n,) int32``, written: `mate` in the new numbers.
+    old_vertex : ndarray
+        ``(n_vertices,) uint32``, written from the front: the old number of each vertex.
+
+    Returns
+    -------
+    int
+        How many vertices these faces use.
+    """
+    new_face = np.empty(len(faces), np.int32)
+    for i in range(len(order)):
+        new_face[order[i]] = i
+    new_vertex = np.full(len(old_vertex), np.uint32(0xFFFFFFFF), np.uint32)
+    n_vertices = 0
+    for i in range(len(order)):
+        f = order[i]
+        turn = is_flipped[f]
+        for c in range(3):
+            v = faces[f, 3 - c if turn and c > 0 else c]
+            if new_vertex[v] == 0xFFFFFFFF:
+                new_vertex[v] = n_vertices
+                old_vertex[n_vertices] = v
+                n_vertices += 1
+            rebuilt[i, c] = new_vertex[v]
+            other = mate[3 * f + (2 - c if turn else c)]
+            if other >= 0:
+                g = other // 3
+                side = other - 3 * g
+                other = 3 * new_face[g] + (2 - side if is_flipped[g] else side)
+            rebuilt_mate[3 * i + c] = other
+    return n_vertices
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def write_edge_rows(faces, order, edge_start, mate, row_start, plane_of_face, rows, flags):
+def write_edge_rows(
+    faces, order, edge_start, mate, component_of_face, next_row, plane_of_face, rows, flags
+):
     """Write the records of every edge: those with a left face first, by face.
 
     Half-edges come in the order of faces, so records do too and nothing needs
     sorting. ``rows (n_rows, 4) uint32``, ``flags (n_rows,) uint8``: kind in
-    bits 0-1 (pair 0, border 1, split 2), planar in bit 2.
+    bits 0-1 (pair 0, border 1, split 2), planar in bit 2. ``component_of_face
+    (n_faces,) int32``; ``next_row (n_components,) int64``: where each component's
+    records begin; counted on as they are written.
     """
     for e in range(len(edge_start) - 1):
         start = edge_start[e]
         end = edge_start[e + 1]
-        row = row_start[e]
         for forward in (True, False):
             for j in range(start, end):
                 h = order[j]
@@ -348,6 +390,8 @@ def write_edge_rows(faces, order, edge_start, mate, row_start, plane_of_face, ro
                 other = mate[h]
                 if (a < b) != forward or (not forward and other >= 0):
                     continue
+                row = next_row[component_of_face[f]]
+                next_row[component_of_face[f]] = row + 1
                 rows[row, 0] = min(a, b)
                 rows[row, 1] = max(a, b)
                 rows[row, 2] = f if forward else 0xFFFFFFFF
@@ -360,4 +404,3 @@ def write_edge_rows(faces, order, edge_start, mate, row_start, plane_of_face, ro
                     if plane_of_face[f] == plane_of_face[other // 3]:
                         kind |= 4
                 flags[row] = kind
-                row += 1

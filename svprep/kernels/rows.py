@@ -1,7 +1,7 @@
 """Equal rows of integers by hashing, group by group.
 
 Open addressing with linear probing; a group's table holds at least twice its
-rows. Welding asks it for equal grid positions, repair for equal triangles.
+rows. Welding asks for equal grid positions, repair for equal triangles.
 Plain twin: `svprep.reference.first_equal_row`.
 """
 
@@ -55,6 +55,96 @@ def first_equal_row(rows, group_start, group_begin, group_end, first):
                     first[i] = j
                     break
                 slot = (slot + 1) & np.int64(mask)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+def weld_corners(points, faces, face_start, has_area, welded, places, starts, n_used):
+    """Number the places of each group's corners in the order of their use, flat faces left out.
+
+    Parameters
+    ----------
+    points : ndarray
+        ``(n_points, 3) int32``: grid positions.
+    faces : ndarray
+        ``(n_faces, 3) uint32``: rows of `points`.
+    face_start : ndarray
+        ``(n_groups + 1,) int64``: faces of each group. Groups share no number.
+    has_area : ndarray
+        ``(n_faces,) bool``, written: false where the corners lie on a line. Such faces have
+        no part in anything else.
+    welded : ndarray
+        ``(n_faces, 3) uint32``, written from the front: the other faces, rows of `places`.
+    places : ndarray
+        ``(3 n_faces, 3) int32`` or as many as needed, written from the front.
+    starts : ndarray
+        ``(n_groups + 1, 2) int64``, written: where each group's `welded` and `places` begin.
+    n_used : ndarray
+        ``(n_groups,) int64``, written: how many rows of `points` its faces use.
+
+    O(n_points + n_faces) expected, by hashing. Plain twin: `reference.weld`.
+    """
+    largest = 0
+    for g in range(len(face_start) - 1):
+        largest = max(largest, 3 * (face_start[g + 1] - face_start[g]))
+    capacity = 2
+    while capacity < 2 * min(largest, len(points)):
+        capacity *= 2
+    table = np.empty(capacity, np.uint32)
+    last_group = np.empty(len(points), np.int32)
+    number = np.empty(len(points), np.uint32)
+    last_group[:] = -1
+    n_kept = 0
+    n_places = 0
+    for g in range(len(face_start) - 1):
+        starts[g, 0] = n_kept
+        starts[g, 1] = n_places
+        n_used[g] = 0
+        size = 2
+        while size < 2 * min(3 * (face_start[g + 1] - face_start[g]), len(points)):
+            size *= 2
+        for slot in range(size):
+            table[slot] = 0xFFFFFFFF
+        for f in range(face_start[g], face_start[g + 1]):
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            ux = np.int64(points[b, 0]) - np.int64(points[a, 0])
+            uy = np.int64(points[b, 1]) - np.int64(points[a, 1])
+            uz = np.int64(points[b, 2]) - np.int64(points[a, 2])
+            wx = np.int64(points[c, 0]) - np.int64(points[a, 0])
+            wy = np.int64(points[c, 1]) - np.int64(points[a, 1])
+            wz = np.int64(points[c, 2]) - np.int64(points[a, 2])
+            has_area[f] = uy * wz != uz * wy or uz * wx != ux * wz or ux * wy != uy * wx
+            if not has_area[f]:
+                continue
+            for corner in range(3):
+                v = faces[f, corner]
+                if last_group[v] != g:
+                    last_group[v] = g
+                    n_used[g] += 1
+                    x = points[v, 0]
+                    y = points[v, 1]
+                    z = points[v, 2]
+                    h = np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
+                    h = (h ^ (h >> np.uint64(32)) ^ np.uint64(y)) * np.uint64(0xC2B2AE3D27D4EB4F)
+                    h = (h ^ (h >> np.uint64(32)) ^ np.uint64(z)) * np.uint64(0x165667B19E3779F9)
+                    slot = np.int64((h >> np.uint64(31)) & np.uint64(size - 1))
+                    while True:
+                        j = table[slot]
+                        if j == 0xFFFFFFFF:
+                            places[n_places, 0] = x
+                            places[n_places, 1] = y
+                            places[n_places, 2] = z
+                            table[slot] = n_places
+                            number[v] = n_places
+                            n_places += 1
+                            break
+                        if places[j, 0] == x and places[j, 1] == y and places[j, 2] == z:
+                            number[v] = j
+                            break
+                        slot = (slot + 1) & (size - 1)
+                welded[n_kept, corner] = number[v]
+            n_kept += 1
+    starts[len(face_start) - 1, 0] = n_kept
+    starts[len(face_start) - 1, 1] = n_places
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)

@@ -95,10 +95,10 @@ def _meet_in_plane(p, s, t):
 
 
 @_helper
-def _boxes_apart(box, a, b):
-    """Whether rows a and b of ``box (n, 6)`` (lows, highs) share no point."""
+def _boxes_apart(box, a, other, b):
+    """Whether row a of ``box (n, 6)`` (lows, highs) shares no point with row b of `other`."""
     for axis in range(3):
-        if box[a, axis] > box[b, axis + 3] or box[b, axis] > box[a, axis + 3]:
+        if box[a, axis] > other[b, axis + 3] or other[b, axis] > box[a, axis + 3]:
             return True
     return False
 
@@ -149,11 +149,11 @@ def _is_folded(p, s, t):
 
 
 @_helper
-def _triangles_touch(p, triangles, scratch):
+def _triangles_touch(p, triangles, is_flat, scratch):
     """Whether two triangles meet elsewhere than in the corners they share.
 
     ``triangles (2, 3)``: rows of `p`, each reordered here so that shared
-    corners come first.
+    corners come first. `is_flat`: they lie in one plane.
     """
     s = triangles[0]
     t = triangles[1]
@@ -168,13 +168,47 @@ def _triangles_touch(p, triangles, scratch):
     if shared == 3:
         return True
     if shared == 2:
-        return _side(p, s[0], s[1], s[2], t[2]) == 0 and _is_folded(p, s, t)
+        return is_flat and _is_folded(p, s, t)
     # With one corner shared, only the edges opposite to it tell.
-    for which in range(2):
-        for c in range(3):
-            if (shared == 0 or c == 1) and _edge_meets(p, triangles, which, c, scratch):
-                return True
+    for k in range(shared, 6, 3 if shared == 1 else 1):
+        if _edge_meets(p, triangles, k // 3, k % 3, scratch):
+            return True
     return False
+
+
+@_helper
+def _contact(p, corners, normal, f, g):
+    """Tell where face g meets the plane of face f, corners they share aside.
+
+    0: nowhere; 1: in one corner only, and none is shared; 3: g lies in the plane; 2: else.
+    ``corners (n, 3)``: rows of `p`; ``normal (n, 3)``: ``(b - a) x (c - a)``; signs are
+    exact as in `_side`.
+    """
+    s0, s1, s2 = corners[f, 0], corners[f, 1], corners[f, 2]
+    nx, ny, nz = normal[f, 0], normal[f, 1], normal[f, 2]
+    n_shared = 0
+    n_above = 0
+    n_below = 0
+    for c in range(3):
+        x = corners[g, c]
+        if x == s0 or x == s1 or x == s2:
+            n_shared += 1
+            continue
+        dx = p[x, 0] - p[s0, 0]
+        dy = p[x, 1] - p[s0, 1]
+        dz = p[x, 2] - p[s0, 2]
+        low = (nx & 0x3FFFFFF) * dx + (ny & 0x3FFFFFF) * dy + (nz & 0x3FFFFFF) * dz
+        high = (nx >> 26) * dx + (ny >> 26) * dy + (nz >> 26) * dz + (low >> 26)
+        if high < 0:
+            n_below += 1
+        elif high > 0 or (low & 0x3FFFFFF) != 0:
+            n_above += 1
+    if n_above + n_below == 0:
+        return 3
+    if n_above > 0 and n_below > 0:
+        return 2
+    n_on = 3 - n_shared - n_above - n_below
+    return 0 if n_on == 0 else 1 if n_on == 1 and n_shared == 0 else 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
@@ -197,6 +231,8 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
         most = max(most, face_start[i + 1] - face_start[i])
     index = np.empty(most, np.int64)
     box = np.empty((most, 6), np.int64)
+    corners = np.empty((most, 3), np.int64)
+    normal = np.empty((most, 3), np.int64)
     node_box = np.empty((most + 1, 6), np.int64)
     node_range = np.empty((most + 1, 2), np.int64)
     node_child = np.empty(most + 1, np.int64)
@@ -208,13 +244,18 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
         n = face_start[candidates[k] + 1] - first_face
         for i in range(n):
             index[i] = i
+            for c in range(3):
+                corners[i, c] = faces[first_face + i, c]
+            a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
             for axis in range(3):
-                box[i, axis] = points[faces[first_face + i, 0], axis]
-                box[i, axis + 3] = box[i, axis]
-                for c in range(1, 3):
-                    x = points[faces[first_face + i, c], axis]
-                    box[i, axis] = min(box[i, axis], x)
-                    box[i, axis + 3] = max(box[i, axis + 3], x)
+                box[i, axis] = min(points[a, axis], points[b, axis], points[c, axis])
+                box[i, axis + 3] = max(points[a, axis], points[b, axis], points[c, axis])
+            ux, wx = points[b, 0] - points[a, 0], points[c, 0] - points[a, 0]
+            uy, wy = points[b, 1] - points[a, 1], points[c, 1] - points[a, 1]
+            uz, wz = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
+            normal[i, 0] = uy * wz - uz * wy
+            normal[i, 1] = uz * wx - ux * wz
+            normal[i, 2] = ux * wy - uy * wx
         # Build: node 0 is the root, children are neighbours.
         node_range[0, 0] = 0
         node_range[0, 1] = n
@@ -281,20 +322,30 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
             a = stack[depth, 0]
             b = stack[depth, 1]
             pairs_left -= 1
-            if a != b and _boxes_apart(node_box, a, b):
+            if a != b and _boxes_apart(node_box, a, node_box, b):
                 continue
             if node_child[a] < 0 and node_child[b] < 0:
                 for i in range(node_range[a, 0], node_range[a, 1]):
                     f = index[i]
-                    for j in range(i + 1 if a == b else node_range[b, 0], node_range[b, 1]):
+                    first = i + 1 if a == b else node_range[b, 0]
+                    pairs_left -= node_range[b, 1] - first
+                    if a != b and _boxes_apart(box, f, node_box, b):
+                        continue
+                    for j in range(first, node_range[b, 1]):
                         g = index[j]
-                        pairs_left -= 1
-                        if _boxes_apart(box, f, g):
+                        if _boxes_apart(box, f, box, g):
+                            continue
+                        contact = _contact(points, corners, normal, f, g)
+                        if contact == 0:
+                            continue
+                        back = _contact(points, corners, normal, g, f)
+                        # Two single corners are two places: one place were a shared corner.
+                        if back == 0 or (contact == 1 and back == 1):
                             continue
                         for c in range(3):
-                            triangles[0, c] = faces[first_face + f, c]
-                            triangles[1, c] = faces[first_face + g, c]
-                        if _triangles_touch(points, triangles, scratch):
+                            triangles[0, c] = corners[f, c]
+                            triangles[1, c] = corners[g, c]
+                        if _triangles_touch(points, triangles, contact == 3, scratch):
                             found = True
                             break
                     if found:

@@ -12,13 +12,15 @@ import math
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.model import F64, I32, U32, Grid, Mesh, SourceMesh
+from svprep.model import BOOL, F64, I32, Grid, Mesh, SourceMesh
 
 MAX_COORDINATE = 1 << 24
 """A grid coordinate is an integer in [-2**24, 2**24]."""
 COARSEST_STEP_M = 2.0**-4
 """[m]: a model that needs a coarser grid is refused (extent above 2,097 km)."""
 FINEST_EXPONENT = -60
+_BLOCK = 1 << 16
+"""Faces or vertices looked at together: a mesh may be larger than memory."""
 FINE_STEP_M = 0.001
 """[m]: a coarser step than this is worth a note; 32 km fit a finer one."""
 
@@ -35,18 +37,16 @@ def choose_grid(source: SourceMesh) -> Grid:
         When the extent needs a step above `COARSEST_STEP_M`: names the vertex
         that lies farthest out, and its object.
     """
-    used = np.zeros(len(source.positions), bool)
-    used[source.faces.ravel()] = True
+    used = _used_vertices(source)
     if not used.any():
         return Grid(step_m=2.0**-24, origin_m=np.zeros(3))
-    points = source.positions if used.all() else source.positions[used]
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = _bounds(source.positions, used)
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     magnitude = float(max(np.abs(low).max(), np.abs(high).max()))
     exponent = max(_ceil_log2(extent) - 25, _ceil_log2(magnitude) - 52, FINEST_EXPONENT)
     if not math.isfinite(extent) or 2.0**exponent > COARSEST_STEP_M:
-        raise _too_large(source, points, extent)
+        raise _too_large(source, used, extent)
     while True:
         step = 2.0**exponent
         low_index, high_index = np.floor(low / step + 0.5), np.floor(high / step + 0.5)
@@ -54,7 +54,7 @@ def choose_grid(source: SourceMesh) -> Grid:
             break
         exponent += 1
     if step > COARSEST_STEP_M:
-        raise _too_large(source, points, extent)
+        raise _too_large(source, used, extent)
     centre = low_index + np.floor((high_index - low_index) / 2)
     return Grid(step_m=step, origin_m=centre * step)
 
@@ -80,7 +80,7 @@ def to_grid(positions: F64, grid: Grid) -> I32:
     Vertices no face uses may lie outside the grid; they are clipped.
     """
     with np.errstate(over="ignore"):
-        index = positions / grid.step_m
+        index = positions * (1.0 / grid.step_m)  # a power of two: as exact as dividing
     index += 0.5
     np.floor(index, out=index)
     index -= grid.origin_m / grid.step_m
@@ -97,13 +97,38 @@ def _ceil_log2(x: float) -> int:
     return math.ceil(math.log2(x)) if x > 0.0 and math.isfinite(x) else -1100 if x == 0.0 else 1024
 
 
-def _too_large(source: SourceMesh, points: F64, extent: float) -> InputError:
+def _used_vertices(source: SourceMesh) -> BOOL:
+    """Return ``(n_vertices,)``: whether a face uses each vertex."""
+    used = np.zeros(len(source.positions), bool)
+    for begin in range(0, len(source.faces), _BLOCK):
+        used[source.faces[begin : begin + _BLOCK].reshape(-1)] = True
+    return used
+
+
+def _bounds(positions: F64, used: BOOL) -> tuple[F64, F64]:
+    """Return the lowest and highest coordinates of the used vertices, of which there are some."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for begin in range(0, len(positions), _BLOCK):
+        block, chosen = positions[begin : begin + _BLOCK], used[begin : begin + _BLOCK]
+        if not chosen.all():
+            block = block[chosen]
+        # Rows side by side make long loops of the short ones over three coordinates.
+        n_abreast = 64 if len(block) >= 64 else 1
+        n_even = len(block) - len(block) % n_abreast
+        wide = block[:n_even].reshape(-1, 3 * n_abreast)
+        for part in (wide.min(axis=0, initial=np.inf), block[n_even:]):
+            low = np.minimum(low, part.reshape(-1, 3).min(axis=0, initial=np.inf))
+        for part in (wide.max(axis=0, initial=-np.inf), block[n_even:]):
+            high = np.maximum(high, part.reshape(-1, 3).max(axis=0, initial=-np.inf))
+    return low, high
+
+
+def _too_large(source: SourceMesh, used: BOOL, extent: float) -> InputError:
     """Name the vertex farthest from the median, and an object that uses it."""
     with np.errstate(over="ignore"):
-        centre = 2 * np.median(points / 2, axis=0)
+        centre = 2 * np.median(source.positions[used] / 2, axis=0)
         distance = np.abs(source.positions - centre).max(axis=1)
-    used: U32 = np.unique(source.faces)
-    vertex = int(used[np.argmax(distance[used])])
+    vertex = int(np.argmax(np.where(used, distance, -1.0)))
     face = int(np.flatnonzero((source.faces == vertex).any(axis=1))[0])
     owner = int(np.searchsorted(source.object_face_start, face, side="right")) - 1
     x, y, z = source.positions[vertex]

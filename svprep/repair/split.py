@@ -45,15 +45,15 @@ def group_edges(faces: U32, face_start: I64, vertex_begin: I64, vertex_end: I64)
     return EdgeGroups(order=order, start=start)
 
 
-def pair_edges(points: I32, faces: U32, flips: BOOL, groups: EdgeGroups) -> I32:
+def pair_edges(points: I32, faces: U32, flips: BOOL, groups: EdgeGroups, is_loose: BOOL) -> I32:
     """Return ``(3 n_faces,) int32``: the half-edge each one is paired with, or -1.
 
     Two faces that wind consistently are a pair; two that do not are cut; more
     than two are matched by angle (see `kernels.half_edges.pair_half_edges`,
-    after Steiner 2006, A.2). ``flips (n_faces,)`` marks faces to be read turned.
+    after Steiner 2006, A.2). ``flips (n_faces,)`` marks faces to be read turned,
+    `is_loose` those that `loose_faces` finds.
     Plain twin: `reference.pair_edges`.
     """
-    is_loose = loose_faces(len(faces), groups)
     mate = np.empty(3 * len(faces), np.int32)
     most = int(groups.n_faces_of_edge.max(initial=1))
 
@@ -66,43 +66,51 @@ def pair_edges(points: I32, faces: U32, flips: BOOL, groups: EdgeGroups) -> I32:
     return mate
 
 
-def loose_faces(n_faces: int, groups: EdgeGroups) -> BOOL:
+def doubles(groups: EdgeGroups) -> tuple[I32, I32]:
+    """Return the two half-edges of each edge that has two."""
+    first = groups.start[:-1][groups.n_faces_of_edge == 2]
+    return groups.order[first], groups.order[first + 1]
+
+
+def loose_faces(patch: I32, groups: EdgeGroups) -> BOOL:
     """Return ``(n_faces,)``: faces that hang on a border edge over edges of two faces.
 
     They can be part of no closed surface, so where more than two faces meet
     they must not take a place that another face needs. Only asked there:
-    without such an edge no face is called loose.
+    without such an edge no face is called loose. ``patch (n_faces,)``: the
+    lowest face that each hangs together with over edges of two.
     """
     size = groups.n_faces_of_edge
+    is_loose = np.zeros(len(patch), bool)
     if not (size > 2).any():
-        return np.zeros(n_faces, bool)
-    doubles = groups.start[:-1][size == 2]
-    a, b = groups.order[doubles] // np.int32(3), groups.order[doubles + 1] // np.int32(3)
-    patch = _join(a, b, n_faces)
-    is_loose = np.zeros(n_faces, bool)
+        return is_loose
     is_loose[patch[groups.order[groups.start[:-1][size == 1]] // 3]] = True
     return is_loose[patch]
 
 
-def _join(a: I32, b: I32, n_faces: int) -> I32:
-    """Return the lowest face that each face hangs together with over pairs (a, b)."""
-    root = np.arange(n_faces, dtype=np.int32)
-    union_with_parity(
-        a, b, np.zeros(len(a), bool), root, np.zeros(n_faces, bool), np.empty(len(a), bool)
-    )
+def join(a: I32, b: I32, root: I32) -> I32:
+    """Return the lowest face that each face hangs together with over pairs (a, b) of faces.
+
+    ``root (n_faces,)``: the lowest that each is known to hang together with already.
+    """
+    root = root.copy()
+    nowhere = np.zeros(len(a), bool)
+    union_with_parity(a, b, nowhere, root, np.zeros(len(root), bool), np.empty(len(a), bool))
     return root
 
 
-def connect(mate: I32, n_faces: int) -> tuple[I32, I32]:
-    """Return the component of each face, and the lowest face of each component.
+def connect(mate: I32, patch: I32, groups: EdgeGroups) -> I32:
+    """Return the lowest face of each face's component, which hangs together over pairs.
 
-    Components are numbered by their lowest face, so they stay grouped by object.
+    ``patch (n_faces,)``: the lowest face that each hangs together with over pairs at
+    edges of two faces.
     """
-    first = np.flatnonzero(mate > np.arange(len(mate), dtype=np.int32)).astype(np.int32)
-    root = _join(first // np.int32(3), mate[first] // np.int32(3), n_faces)
-    is_root = root == np.arange(n_faces, dtype=np.int32)
-    component = (np.cumsum(is_root, dtype=np.int32) - 1)[root].astype(np.int32)
-    return component, np.flatnonzero(is_root).astype(np.int32)
+    is_crowded = groups.n_faces_of_edge > 2
+    if not is_crowded.any():
+        return patch
+    among = groups.order[np.repeat(is_crowded, groups.n_faces_of_edge)]
+    first = among[mate[among] > among]
+    return join(first // np.int32(3), mate[first] // np.int32(3), patch)
 
 
 def sort_stably(keys: I32, n_keys: int) -> tuple[I32, I64]:

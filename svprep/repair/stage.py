@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from svprep.defects import DEFECTS, Code
+from svprep.kernels.half_edges import rebuild_faces
 from svprep.model import (
     I32,
     I64,
@@ -20,9 +22,9 @@ from svprep.model import (
 )
 from svprep.repair.grid import grid_coordinates
 from svprep.repair.solid import find_self_contact
-from svprep.repair.split import EdgeGroups, connect, group_edges, pair_edges, sort_stably
+from svprep.repair.split import EdgeGroups, group_edges, sort_stably
 from svprep.repair.weld import WeldReport
-from svprep.repair.winding import is_closed, opposite_faces, signed_volumes, wind
+from svprep.repair.winding import Winding, wind
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,8 @@ class Repaired:
 
     mesh: Mesh
     """Wound alike, without duplicates, faces sorted by (object, component)."""
+    points: I32
+    """``(n_vertices, 3)``: grid coordinates of its vertices."""
     groups: EdgeGroups
     mate: I32
     """``(3 n_faces,)``: the half-edge that each half-edge is paired with, or -1."""
@@ -65,31 +69,22 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
     Near-linear in faces and in components. Winding and edge duplication after
     Steiner (2006), appendix A.2; see `winding` and `split`.
     """
-    points = grid_coordinates(mesh.positions, mesh.grid)
-    winding = wind(mesh, points)
-    is_flipped = winding.is_flipped[winding.is_kept]
+    winding = wind(mesh, grid_coordinates(mesh.positions, mesh.grid))
+    order, component_face_start, lowest = _sorted_by_component(winding)
     duplicates = _list_duplicates(mesh, ~winding.is_kept)
-    mesh = _turn_and_drop(mesh, winding.is_kept, is_flipped)
-    if is_flipped.any() or not winding.is_kept.all():
-        mesh, points = _numbered_by_first_use(mesh)
+    mesh, mate = _rebuilt(mesh, winding, order)
+    points = grid_coordinates(mesh.positions, mesh.grid)
+    begin, end = mesh.object_vertex_start[:-1], mesh.object_vertex_start[1:]
+    groups = group_edges(mesh.faces, mesh.object_face_start, begin, end)
 
-    groups, mate = _pair_all(mesh, points)
-    component, lowest = connect(mate, len(mesh.faces))
-    order, component_face_start = sort_stably(component, len(lowest))
-    if not (order[1:] > order[:-1]).all():
-        mesh = replace(mesh, faces=mesh.faces[order], source_face=mesh.source_face[order])
-        is_flipped = is_flipped[order]
-        component = component[order]
-        mesh, points = _numbered_by_first_use(mesh)
-        groups, mate = _pair_all(mesh, points)
-    lowest = component_face_start[:-1].astype(np.int32)
-
+    is_flipped = winding.is_flipped[order]
     flags, is_touching, is_flat = _judge_components(
-        mesh, points, mate, component, component_face_start, is_flipped
+        mesh, points, winding, lowest, component_face_start, is_flipped
     )
-    component_start = np.searchsorted(lowest, mesh.object_face_start)
+    component_start = np.searchsorted(component_face_start[:-1], mesh.object_face_start)
     repaired = Repaired(
         mesh=mesh,
+        points=points,
         groups=groups,
         mate=mate,
         component_start=component_start.astype(np.int64),
@@ -98,9 +93,7 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
     )
     inverted = (flags & np.uint8(ComponentFlag.INVERTED)) != 0
     counts = _count_edges(mesh, groups, mate)
-    is_opposite = np.zeros(len(mesh.faces), bool)
-    is_opposite[opposite_faces(mesh)] = True
-    counts[Code.OPPOSITE_FACE] = _per_range(is_opposite, mesh.object_face_start)
+    counts[Code.OPPOSITE_FACE] = winding.n_opposite.astype(np.uint32)
     counts[Code.FLIPPED_FACE] = _per_range(is_flipped, mesh.object_face_start)
     counts[Code.INVERTED_COMPONENT] = _per_range(inverted, component_start)
     counts[Code.SELF_INTERSECTION] = _per_range(is_touching, component_start)
@@ -113,8 +106,13 @@ def repair(mesh: Mesh) -> tuple[Repaired, RepairReport]:
     )
 
 
-def record(source: SourceMesh, weld: WeldReport, report: RepairReport) -> RepairRecord:
-    """Gather every decision of reader, weld and repair per object and source face."""
+def record(
+    source: SourceMesh, weld: WeldReport, report: RepairReport, digest: NDArray[np.uint64]
+) -> RepairRecord:
+    """Gather every decision of reader, weld and repair per object and source face.
+
+    ``digest (n_objects, 2)``: what `svprep.content` makes of `source`.
+    """
     n_objects = len(source.object_names)
     tables = (source.face_findings, weld.dropped, report.duplicates)
     code = np.concatenate([t.code for t in tables])
@@ -131,6 +129,7 @@ def record(source: SourceMesh, weld: WeldReport, report: RepairReport) -> Repair
     return RepairRecord(
         defect_counts=counts,
         source_triangles=weld.source_triangles,
+        source_digest=digest,
         face_findings=FaceFindings(
             code=code[order], object_index=owner[order], source_face=source_face[order]
         ),
@@ -138,39 +137,49 @@ def record(source: SourceMesh, weld: WeldReport, report: RepairReport) -> Repair
     )
 
 
-def _numbered_by_first_use(mesh: Mesh) -> tuple[Mesh, I32]:
-    """Return `mesh` with its vertices in the order in which its faces use them, and their points.
+def _sorted_by_component(winding: Winding) -> tuple[I32, I64, I32]:
+    """Return the kept faces by component, where each one's begin, and its lowest face.
 
-    As welding numbers them, so that a build of the repaired mesh gives the same mesh. An
-    object keeps all its vertices: what is dropped has a double that stays. O(n).
+    Components are numbered by their lowest face, so they stay grouped by object.
     """
-    corners = mesh.faces.reshape(-1)
-    places = np.arange(len(corners))
-    first = np.full(len(mesh.positions), len(corners))
-    first[corners[::-1]] = places[::-1]  # the last write, the first use, stays
-    old = corners[first[corners] == places]
-    new = np.empty(len(mesh.positions), np.uint32)
-    new[old] = np.arange(len(old), dtype=np.uint32)
-    mesh = replace(mesh, positions=mesh.positions[old], faces=new[mesh.faces])
-    return mesh, grid_coordinates(mesh.positions, mesh.grid)
+    n_faces = len(winding.root)
+    is_lowest = winding.is_kept & (winding.root == np.arange(n_faces, dtype=np.int32))
+    component = (np.cumsum(is_lowest, dtype=np.int32) - np.int32(1))[winding.root]
+    lowest = np.flatnonzero(is_lowest).astype(np.int32)
+    if winding.is_kept.all():
+        return (*sort_stably(component, len(lowest)), lowest)
+    kept = np.flatnonzero(winding.is_kept).astype(np.int32)
+    order, start = sort_stably(component[kept], len(lowest))
+    return kept[order], start, lowest
 
 
-def _pair_all(mesh: Mesh, points: I32) -> tuple[EdgeGroups, I32]:
-    begin, end = mesh.object_vertex_start[:-1], mesh.object_vertex_start[1:]
-    groups = group_edges(mesh.faces, mesh.object_face_start, begin, end)
-    return groups, pair_edges(points, mesh.faces, np.zeros(len(mesh.faces), bool), groups)
+def _rebuilt(mesh: Mesh, winding: Winding, order: I32) -> tuple[Mesh, I32]:
+    """Return the faces of `order`, turned where they are to be, and the mates of their half-edges.
 
-
-def _turn_and_drop(mesh: Mesh, is_kept: np.ndarray, is_flipped: np.ndarray) -> Mesh:
-    """Return the kept faces, turned where `is_flipped` (over kept faces) says so."""
-    faces = mesh.faces[is_kept]
-    faces[is_flipped] = faces[is_flipped][:, [0, 2, 1]]
-    start = mesh.object_face_start
-    if not is_kept.all():
-        start = np.concatenate(([0], np.cumsum(is_kept)))[start]
-    return replace(
-        mesh, faces=faces, source_face=mesh.source_face[is_kept], object_face_start=start
+    Vertices are numbered in the order in which these faces use them, as welding does, so that
+    a build of the repaired mesh gives the same mesh. An object keeps all its vertices: what
+    is dropped has a double that stays. A mesh that stays as it is keeps its numbers. O(n).
+    """
+    is_same = len(order) == len(mesh.faces) and bool((order[1:] > order[:-1]).all())
+    if is_same and not winding.is_flipped.any():
+        return mesh, winding.mate
+    faces = np.empty((len(order), 3), np.uint32)
+    mate = np.empty(3 * len(order), np.int32)
+    old_vertex = np.empty(len(mesh.positions), np.uint32)
+    n_vertices = rebuild_faces(
+        mesh.faces, winding.is_flipped, winding.mate, order, faces, mate, old_vertex
     )
+    start = mesh.object_face_start
+    if len(order) < len(mesh.faces):
+        start = np.concatenate(([0], np.cumsum(winding.is_kept)))[start]
+    rebuilt = replace(
+        mesh,
+        positions=mesh.positions[old_vertex[:n_vertices]],
+        faces=faces,
+        source_face=mesh.source_face[order],
+        object_face_start=start,
+    )
+    return rebuilt, mate
 
 
 def _list_duplicates(mesh: Mesh, is_dropped: np.ndarray) -> FaceFindings:
@@ -186,23 +195,24 @@ def _list_duplicates(mesh: Mesh, is_dropped: np.ndarray) -> FaceFindings:
 def _judge_components(
     mesh: Mesh,
     points: I32,
-    mate: I32,
-    component: I32,
+    winding: Winding,
+    lowest: I32,
     face_start: I64,
     is_flipped: np.ndarray,
 ) -> tuple[U8, np.ndarray, np.ndarray]:
-    """Return flags, and which components touch themselves or enclose nothing."""
-    n = len(face_start) - 1
-    closed = is_closed(mate, component, n)
-    nothing = np.zeros(len(mesh.faces), bool)
-    lowest = face_start[:-1].astype(np.int32)
-    _, no_volume = signed_volumes(points, mesh.faces, nothing, component, lowest)
-    flat = closed & no_volume
+    """Return flags, and which components touch themselves or enclose nothing.
+
+    ``lowest (n_components,)``: the faces that `winding` knows them by.
+    """
+    n = len(lowest)
+    closed = winding.is_closed[lowest]
+    flat = closed & winding.is_flat[lowest]
     candidates = np.flatnonzero(closed & ~flat)
     touching = np.zeros(n, bool)
     touching[candidates] = find_self_contact(points, mesh.faces, face_start, candidates)
     size = np.diff(face_start)
-    n_flipped = np.bincount(component[is_flipped], minlength=n)
+    flipped = np.searchsorted(face_start, np.flatnonzero(is_flipped), side="right") - 1
+    n_flipped = np.bincount(flipped, minlength=n)
     is_solid = closed & ~flat & ~touching
     is_inverted = closed & (2 * n_flipped > size)
     flags = (

@@ -12,10 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from svprep.defects import Code
-from svprep.kernels.rows import count_distinct_per_group, first_equal_row, pull_onto_leaders
-from svprep.kernels.surface import face_normals
+from svprep.kernels.rows import (
+    count_distinct_per_group,
+    first_equal_row,
+    pull_onto_leaders,
+    weld_corners,
+)
 from svprep.model import BOOL, I32, I64, U32, FaceFindings, Grid, Mesh, SourceMesh
-from svprep.parallel import for_ranges
 from svprep.repair.grid import choose_grid, to_grid
 
 
@@ -33,7 +36,9 @@ class WeldReport:
     """[m]: the largest shift by ``--weld-tolerance``; 0.0 without it."""
 
 
-def weld(source: SourceMesh, weld_tolerance_m: float = 0.0) -> tuple[Mesh, WeldReport]:
+def weld(
+    source: SourceMesh, weld_tolerance_m: float = 0.0, grid: Grid | None = None
+) -> tuple[Mesh, WeldReport]:
     """Return the faces of `source` that have area, on the grid, welded per object.
 
     Parameters
@@ -43,6 +48,8 @@ def weld(source: SourceMesh, weld_tolerance_m: float = 0.0) -> tuple[Mesh, WeldR
         [m]. Vertices of one object within this distance of an earlier vertex
         that stayed in place move onto it, so none moves farther than this.
         0.0 (the default) moves nothing.
+    grid : Grid, optional
+        That of the whole input, where `source` is a part of it; by default that of `source`.
 
     Returns
     -------
@@ -54,63 +61,44 @@ def weld(source: SourceMesh, weld_tolerance_m: float = 0.0) -> tuple[Mesh, WeldR
     -----
     O(n) expected time, by hashing. Plain twin: `reference.weld`.
     """
-    grid = choose_grid(source)
-    points = to_grid(source.positions, grid)
-    n_objects = len(source.object_names)
-    n_distinct = np.zeros(n_objects, np.int64)
-    count_distinct_per_group(
-        source.faces.reshape(-1), 3 * source.object_face_start, len(points), n_distinct
-    )
+    grid = grid or choose_grid(source)
+    points, faces = to_grid(source.positions, grid), source.faces
     moved = 0.0
-    corner_points = np.take(points, source.faces.reshape(-1), axis=0)
     if weld_tolerance_m > 0.0:
-        corner_points, moved = _pull_together(source, corner_points, grid, weld_tolerance_m)
-
-    normals = np.empty((len(source.faces), 3))
-    corners = np.arange(len(corner_points), dtype=np.uint32).reshape(-1, 3)
-    face_normals(corner_points, corners, normals)
-    has_area: BOOL = np.any(normals, axis=1)
-    dropped = _list_dropped(source, ~has_area)
-    face_start = source.object_face_start
+        points, moved = _pull_together(source, points[faces.reshape(-1)], grid, weld_tolerance_m)
+        faces = np.arange(len(points), dtype=np.uint32).reshape(-1, 3)
+    has_area = np.empty(len(faces), bool)
+    welded = np.empty((len(faces), 3), np.uint32)
+    places = np.empty((3 * len(faces), 3), np.int32)
+    starts = np.empty((len(source.object_names) + 1, 2), np.int64)
+    n_used = np.empty(len(source.object_names), np.int64)
+    weld_corners(points, faces, source.object_face_start, has_area, welded, places, starts, n_used)
+    if weld_tolerance_m > 0.0:
+        _count_used(source, has_area, n_used)
+    n_faces, n_vertices = starts[-1].tolist()
     source_face = source.source_face
-    if not has_area.all():
-        corner_points = corner_points.reshape(-1, 9)[has_area].reshape(-1, 3)
-        source_face = source_face[has_area]
-        kept_before = np.concatenate(([0], np.cumsum(has_area)))
-        face_start = kept_before[face_start]
-
-    corner_start = 3 * face_start
-    first = _first_at_each_position(corner_points, corner_start)
-    is_new = first == np.arange(len(first), dtype=np.int32)
-    vertex_before = np.zeros(len(first) + 1, np.int64)
-    np.cumsum(is_new, out=vertex_before[1:])
-    faces = vertex_before[first].astype(np.uint32).reshape(-1, 3)
-    object_vertex_start = vertex_before[corner_start]
     mesh = Mesh(
         grid=grid,
-        positions=(corner_points[is_new] * grid.step_m).astype(np.float32),
-        faces=faces,
-        object_vertex_start=object_vertex_start,
-        object_face_start=np.ascontiguousarray(face_start, np.int64),
-        source_face=source_face,
+        positions=(places[:n_vertices] * grid.step_m).astype(np.float32),
+        faces=welded[:n_faces],
+        object_vertex_start=np.ascontiguousarray(starts[:, 1]),
+        object_face_start=np.ascontiguousarray(starts[:, 0]),
+        source_face=source_face if n_faces == len(faces) else source_face[has_area],
     )
     report = WeldReport(
         source_triangles=np.diff(source.object_face_start).astype(np.uint32),
-        welded_vertices=_welded(n_distinct, object_vertex_start, source, has_area),
-        dropped=dropped,
+        welded_vertices=(n_used - np.diff(starts[:, 1])).astype(np.uint32),
+        dropped=_list_dropped(source, ~has_area),
         farthest_move_m=moved,
     )
     return mesh, report
 
 
-def _welded(n_distinct: I64, object_vertex_start: I64, source: SourceMesh, has_area: BOOL) -> U32:
-    """Count source vertices merged away, over the faces that stayed."""
-    if not has_area.all():
-        kept = np.ascontiguousarray(source.faces[has_area])
-        start = np.concatenate(([0], np.cumsum(has_area)))[source.object_face_start]
-        n_distinct = np.zeros(len(n_distinct), np.int64)
-        count_distinct_per_group(kept.reshape(-1), 3 * start, len(source.positions), n_distinct)
-    return (n_distinct - np.diff(object_vertex_start)).astype(np.uint32)
+def _count_used(source: SourceMesh, has_area: BOOL, n_used: I64) -> None:
+    """Write to `n_used` how many source vertices the faces that stay use, per object."""
+    kept = source.faces[has_area]
+    start = np.concatenate(([0], np.cumsum(has_area)))[source.object_face_start]
+    count_distinct_per_group(kept.reshape(-1), 3 * start, len(source.positions), n_used)
 
 
 def _list_dropped(source: SourceMesh, is_flat: BOOL) -> FaceFindings:
@@ -140,7 +128,8 @@ def _pull_together(
     A vertex that moved is never a target, so moves do not chain.
     """
     corner_start = 3 * source.object_face_start
-    first = _first_at_each_position(corner_points, corner_start)
+    first = np.empty(len(corner_points), np.int32)
+    first_equal_row(corner_points, corner_start, 0, len(corner_start) - 1, first)
     standing = np.flatnonzero(first == np.arange(len(first), dtype=np.int32))
     points = corner_points[standing]
     target = np.empty(len(points), np.int32)
@@ -151,14 +140,3 @@ def _pull_together(
     rank = np.empty(len(first), np.int32)
     rank[standing] = np.arange(len(standing), dtype=np.int32)
     return points[target][rank[first]], float(moved.max(initial=0.0) * grid.step_m)
-
-
-def _first_at_each_position(corner_points: I32, corner_start: I64) -> I32:
-    """Return, per corner, the first corner of its object at the same position."""
-    first = np.empty(len(corner_points), np.int32)
-
-    def work(begin: int, end: int) -> None:
-        first_equal_row(corner_points, corner_start, begin, end, first)
-
-    for_ranges(corner_start, work)
-    return first

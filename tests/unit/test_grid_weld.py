@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -153,6 +154,39 @@ def test_a_shift_by_grid_steps_changes_nothing(
     assert far.step_m == grid.step_m
     np.testing.assert_array_equal(far.origin_m - grid.origin_m, np.array(shift) * grid.step_m)
     np.testing.assert_array_equal(to_grid(other.positions, far), to_grid(one.positions, grid))
+
+
+def test_a_grid_is_chosen_block_by_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of arrays that lie in a file, whatever a block holds, unused vertices left out."""
+    rng = np.random.default_rng(3)
+    source = source_mesh(rng.normal(0, 90, (1000, 3)), rng.integers(0, 400, (150, 3)))
+    used = np.unique(source.faces)
+    unused = np.setdiff1d(np.arange(1000), used)
+    source.positions[unused] *= 1e6
+    file = np.memmap(tmp_path / "positions", np.float64, "w+", shape=(1000, 3))
+    file[:] = source.positions
+    alone = source_mesh(source.positions[used], np.searchsorted(used, source.faces))
+    expected = choose_grid(alone)
+    for block in (1, 63, 64, 500, 1 << 16):
+        monkeypatch.setattr("svprep.repair.grid._BLOCK", block)
+        grid = choose_grid(replace(source, positions=file))
+        assert grid.step_m == expected.step_m
+        np.testing.assert_array_equal(grid.origin_m, expected.origin_m)
+
+
+@pytest.mark.parametrize("tolerance_m", [0.0, 0.6])
+def test_objects_welded_one_by_one_on_the_grid_of_all_are_those_of_all(tolerance_m: float) -> None:
+    parts = [joined(cube(), moved(cube(), (1.25, 0, 0))), cube(30.0, (500, 3, 1)), cube(1e-6)]
+    source = side_by_side(*parts)
+    whole, report = weld(source, tolerance_m)
+    for i, part in enumerate(parts):
+        mesh, own = weld(part, tolerance_m, choose_grid(source))
+        vertices = slice(*whole.object_vertex_start[i : i + 2])
+        faces = slice(*whole.object_face_start[i : i + 2])
+        np.testing.assert_array_equal(mesh.positions, whole.positions[vertices])
+        np.testing.assert_array_equal(mesh.faces, whole.faces[faces] - np.uint32(vertices.start))
+        assert own.welded_vertices.tolist() == [report.welded_vertices[i]]
+        assert len(own.dropped.code) == (report.dropped.object_index == i).sum()
 
 
 def test_halves_round_up() -> None:

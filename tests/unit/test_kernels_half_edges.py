@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from svprep import reference
 from svprep.kernels.half_edges import (
-    count_edge_rows,
     group_half_edges,
     pair_half_edges,
+    rebuild_faces,
     write_edge_rows,
 )
-from svprep.repair.split import EdgeGroups, loose_faces
+from svprep.repair.split import EdgeGroups, doubles, join, loose_faces
 from tests.property.meshes import arrays
 
 
@@ -52,7 +52,9 @@ def pair(points: np.ndarray, faces: np.ndarray, flips: np.ndarray) -> np.ndarray
     mate = np.full(3 * len(faces), -7, np.int32)
     most = int(np.diff(start).max(initial=1))
     points = points.astype(np.int32)
-    loose = loose_faces(len(faces), EdgeGroups(order=order, start=start))
+    groups = EdgeGroups(order=order, start=start)
+    h, g = doubles(groups)
+    loose = loose_faces(join(h // 3, g // 3, np.arange(len(faces), dtype=np.int32)), groups)
     middle = len(start) // 2  # in two ranges, as threads would
     for begin, end in ((middle, len(start) - 1), (0, middle)):
         pair_half_edges(points, faces, flips, loose, order, start, begin, end, most, mate)
@@ -197,13 +199,44 @@ def test_edge_rows(faces: np.ndarray, data: st.DataObject) -> None:
     plane_of_face = data.draw(
         arrays(np.uint32, len(faces), elements=st.integers(0, 2)), label="planes"
     )
+    component = data.draw(arrays(np.int32, len(faces), elements=st.integers(0, 2)))
+    for h in np.flatnonzero(mate >= 0).tolist() * 3:  # what is paired lies in one
+        component[h // 3] = component[mate[h] // 3] = min(component[[h // 3, mate[h] // 3]])
+    expected_rows, expected_flags = reference.edge_rows(faces, mate, component, plane_of_face)
     order, start = group(faces, 6)
-    row_start = np.empty(len(start), np.int64)
-    count_edge_rows(faces, order, start, mate, row_start)
-    rows = np.empty((int(row_start[-1]), 4), np.uint32)
+    left = np.where(expected_rows[:, 2] < len(faces), expected_rows[:, 2], expected_rows[:, 3])
+    begin = np.searchsorted(component[left], np.arange(3))
+    rows = np.empty((len(expected_rows), 4), np.uint32)
     flags = np.empty(len(rows), np.uint8)
-    write_edge_rows(faces, order, start, mate, row_start, plane_of_face, rows, flags)
-    one_component = np.zeros(len(faces), int)
-    expected_rows, expected_flags = reference.edge_rows(faces, mate, one_component, plane_of_face)
+    write_edge_rows(faces, order, start, mate, component, begin, plane_of_face, rows, flags)
     np.testing.assert_array_equal(rows, expected_rows)
     np.testing.assert_array_equal(flags, expected_flags)
+
+
+@given(face_sets(), st.data())
+def test_rebuild_faces(faces: np.ndarray, data: st.DataObject) -> None:
+    """Every side keeps its mate, its place and, turned if its face is, its direction."""
+    points = np.array([[0, 0, 0], [7, 1, 2], [1, 8, 3], [-2, 3, 9], [-5, -7, 1], [3, -4, -8]])
+    mate = pair(points, faces, np.zeros(len(faces), bool))
+    is_flipped = data.draw(arrays(bool, len(faces)), label="flips")
+    kept = data.draw(st.permutations(range(len(faces))), label="order")
+    kept = kept[: data.draw(st.integers(0, len(faces)), label="how many stay")]
+    mate[~np.isin(mate // 3, kept)] = -1  # no mate is left out
+    order = np.array(kept, np.int32)
+    rebuilt = np.empty((len(order), 3), np.uint32)
+    rebuilt_mate = np.empty(3 * len(order), np.int32)
+    old_vertex = np.empty(6, np.uint32)
+    n_vertices = rebuild_faces(faces, is_flipped, mate, order, rebuilt, rebuilt_mate, old_vertex)
+
+    expected = [faces[f, [0, 2, 1]] if is_flipped[f] else faces[f] for f in kept]
+    assert old_vertex[rebuilt].tolist() == [corners.tolist() for corners in expected]
+    used = list(dict.fromkeys(np.array(expected, int).reshape(-1).tolist()))
+    assert old_vertex[:n_vertices].tolist() == used, "vertices not in the order of their use"
+
+    def half_edge(h: int) -> int:
+        f, side = divmod(h, 3)
+        return 3 * kept.index(f) + (2 - side if is_flipped[f] else side)
+
+    for h, other in enumerate(mate.tolist()):
+        if h // 3 in kept:
+            assert rebuilt_mate[half_edge(h)] == (half_edge(other) if other >= 0 else -1)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from svprep import reference
 from svprep.defects import DEFECTS, Code
 from svprep.model import ComponentFlag, EdgeFlag, EdgeKind, SourceMesh
-from svprep.repair.split import connect, sort_stably
+from svprep.repair.split import EdgeGroups, connect, sort_stably
 from svprep.repair.winding import signed_volumes, wind
 from tests.property.meshes import (
     SUITE,
@@ -314,10 +314,12 @@ def test_connect(data: st.DataObject, n_faces: int) -> None:
     for i in range(n_pairs):
         a, b = half_edges[2 * i], half_edges[2 * i + 1]
         mate[a], mate[b] = b, a
-    component, lowest = connect(mate, n_faces)
+    # As if all sides met in one edge: pairs at edges of two are known already.
+    every = np.arange(3 * n_faces, dtype=np.int32)
+    groups = EdgeGroups(order=every, start=np.array([0, len(every)], np.int64))
+    root = connect(mate, np.arange(n_faces, dtype=np.int32), groups)
     expected = reference.components(mate)
-    assert component.tolist() == expected
-    assert lowest.tolist() == [expected.index(i) for i in range(len(set(expected)))]
+    assert root.tolist() == [expected.index(i) for i in expected]
 
 
 @given(arrays(np.int32, st.integers(0, 40), elements=st.integers(0, 6)))
