@@ -14,34 +14,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
+from svprep.clamp_changes import PreviousClamp, pad_of, segments_after
+from svprep.clamp_views import ClampScene, LampView, SunView
 from svprep.errors import InputError, first_few
-from svprep.kernels.clamping import MOST_SEGMENTS, clamp_casters
-from svprep.kernels.light_boxes import (
-    bound_casters,
-    bound_clusters,
-    choose_normals,
-    place_vertices,
-    raise_levels,
-)
-from svprep.kernels.point_clamping import bound_clusters_in_views, clamp_casters_in_views
 from svprep.light import Light
-from svprep.model import F32, F64, I16, I64, U32, ClampTable, Components, Grid, Mesh, SceneTree
-from svprep.parallel import for_each, for_shares
-from svprep.scene_tree import level_starts
+from svprep.model import F32, F64, ClampTable, Components, Grid, Mesh, SceneTree
 from svprep.silhouette.tables import check_mesh, check_starts, contradiction, read_only
 
 LightHook = Callable[[int, int], None]
 """Called with how many lights are done, and of how many."""
-
-_LEAST_PAD_M: Final = 0.0005
-_LEAST_SINK: Final = 0.02
-"""Sine of the sun's altitude below which no horizontal plane is tried: slopes stay below 50."""
-_CHUNK: Final = 4096
-"""Casters that a thread takes at a time; sums are taken chunk by chunk, whatever the threads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,32 +48,6 @@ class ClampCosts:
                 raise InputError(f"the cost of a clamp's {name} is a number of at least 0: {value}")
 
 
-@dataclass(frozen=True, slots=True)
-class _Scene:
-    """What is the same for every light."""
-
-    positions: F32
-    faces: U32
-    face_start: I64
-    """``(n_casters + 1,)``"""
-    corners: U32
-    """``(n_faces, 3)``: in the order of clusters."""
-    cluster_start: I64
-    normals: F32
-    """``(n_clusters, 3)``: the unit normal of each cluster's largest face."""
-    levels: I64
-    pad_m: float
-    """What float32 rounds in a light frame, and what an edge may be off in a ray tracer."""
-
-    @property
-    def n_casters(self) -> int:
-        return len(self.face_start) - 1
-
-    @property
-    def n_clusters(self) -> int:
-        return len(self.cluster_start) - 1
-
-
 def clamp_lights(
     mesh: Mesh,
     components: Components,
@@ -97,6 +55,7 @@ def clamp_lights(
     lights: Sequence[Light],
     costs: ClampCosts | None = None,
     on_light: LightHook | None = None,
+    previous: PreviousClamp | None = None,
 ) -> ClampTable:
     """Return the segments of every caster for every light, in the order of `lights`.
 
@@ -109,6 +68,9 @@ def clamp_lights(
     costs : ClampCosts, optional
     on_light : callable, optional
         Called as each light is done.
+    previous : PreviousClamp, optional
+        Of an earlier state of the scene: casters that meet nothing that changed take over
+        what it holds. The outcome is the same without.
 
     Raises
     ------
@@ -129,27 +91,39 @@ def clamp_lights(
     for light, vector in zip(lights, vectors, strict=True):
         _check_off_vertices(light, vector, mesh)
     shared = _scene(mesh, components, scene) if lights else None
-    clamped = []
+    prices = np.array([costs.vertex, costs.area])
+    clamped, facts = [], []
     for i, vector in enumerate(vectors):
         assert shared is not None
-        is_point = vector[3] != 0.0
-        clamped.append((_clamp_point if is_point else _clamp_sun)(shared, vector, costs))
+        view = _view(shared, vector)
+        segments = None
+        if previous is not None:
+            segments = segments_after(previous, view, vector, prices, components, scene)
+        clamped.append(segments or view.segments(prices))
+        facts.append([*prices, *view.surfaces(clamped[-1])])
         if on_light is not None:
             on_light(i + 1, len(vectors))
-    n = len(lights)
+    n, n_casters = len(lights), len(components.flags)
+    starts = np.zeros((n, n_casters + 1), np.uint32)
+    for i, one in enumerate(clamped):
+        np.cumsum(one.counts, out=starts[i, 1:])
     sizes = [len(one.depths) for one in clamped]
     return ClampTable(
         specs=tuple(light.spec for light in lights),
         lights=np.array(vectors, np.float32).reshape(n, 4),
-        frames=np.array([one.frame for one in clamped], np.float64).reshape(n, 3, 3),
-        facts=np.array([one.facts for one in clamped], np.float64).reshape(n, 5),
+        frames=np.array([light_frame(vector) for vector in vectors], np.float64).reshape(n, 3, 3),
+        facts=np.array(facts, np.float64).reshape(n, 5),
         light_start=np.concatenate(([0], np.cumsum(sizes, dtype=np.int64))),
-        segment_start=np.array([one.start for one in clamped], np.uint32).reshape(
-            n, len(components.flags) + 1
-        ),
+        segment_start=starts,
         depths=np.concatenate([np.empty((0, 2), np.float32), *(one.depths for one in clamped)]),
         slopes=np.concatenate([np.empty((0, 2), np.int16), *(one.slopes for one in clamped)]),
     )
+
+
+def _view(scene: ClampScene, vector: F32) -> SunView | LampView:
+    if vector[3] != 0.0:
+        return LampView(scene, vector)
+    return SunView.of(scene, light_frame(vector))
 
 
 def distinct(lights: Sequence[Light], grid: Grid) -> dict[bytes, Light]:
@@ -211,33 +185,14 @@ def light_frame(vector: F32) -> F64:
     return np.stack([u, np.cross(t, u), t])
 
 
-@dataclass(frozen=True, slots=True)
-class _Clamped:
-    """One light's part of a `ClampTable`."""
-
-    frame: F64
-    facts: F64
-    start: U32
-    depths: F32
-    slopes: I16
-
-
-def _scene(mesh: Mesh, components: Components, scene: SceneTree) -> _Scene:
-    # Read-only, from a build as from a cache: Numba compiles anew for another kind.
-    positions, start = read_only(mesh.positions), read_only(scene.cluster_start)
-    corners = mesh.faces.take(scene.faces, axis=0)
-    normals = np.zeros((len(start) - 1, 3), np.float32)
-    for_shares(len(normals), lambda a, b: choose_normals(positions, corners, start, a, b, normals))
-    reach = float(np.abs(positions).max()) * math.sqrt(3.0)
-    return _Scene(
-        positions=positions,
+def _scene(mesh: Mesh, components: Components, scene: SceneTree) -> ClampScene:
+    return ClampScene(
+        positions=read_only(mesh.positions),
         faces=read_only(mesh.faces),
         face_start=read_only(components.face_start),
-        corners=corners,
-        cluster_start=start,
-        normals=normals,
-        levels=level_starts(len(start) - 1),
-        pad_m=max(_LEAST_PAD_M, 1e-6 * reach),
+        order=read_only(scene.faces),
+        cluster_start=read_only(scene.cluster_start),
+        pad_m=pad_of(max(float(mesh.positions.max()), -float(mesh.positions.min()))),
     )
 
 
@@ -262,102 +217,3 @@ def _check_off_vertices(light: Light, vector: F32, mesh: Mesh) -> None:
             f"{first_few(np.unique(objects))}), where a shadow has no direction. Move it by a "
             "millimetre or more"
         )
-
-
-def _clamp_sun(scene: _Scene, vector: F32, costs: ClampCosts) -> _Clamped:
-    """Return the segments of a directional light."""
-    frame = light_frame(vector)
-    start, pad, levels = scene.face_start, scene.pad_m, scene.levels
-    placed = np.empty(scene.positions.shape, np.float32)
-    for_shares(len(placed), lambda a, b: place_vertices(scene.positions, frame, a, b, placed))
-    blocks = np.empty((int(levels[-1]), 5, 8), np.float32)
-    slabs = np.empty((scene.n_clusters, 5), np.float64)
-    boxes = np.empty((scene.n_casters, 6), np.float64)
-
-    def bound(a: int, b: int) -> None:
-        bound_clusters(
-            placed, scene.corners, scene.cluster_start, scene.normals, frame, pad, a, b, blocks,
-            slabs,
-        )  # fmt: skip
-
-    for_shares(scene.n_clusters, bound)
-    raise_levels(levels, len(levels) - 1, scene.n_clusters, blocks)
-    for_shares(
-        scene.n_casters, lambda a, b: bound_casters(placed, scene.faces, start, pad, a, b, boxes)
-    )
-    sink = frame[2, 2]
-    horizon = -frame[:2, 2] / sink if abs(sink) > _LEAST_SINK else np.zeros(2)
-    exit_depth = float(blocks[-1, 4].max())
-    prices = np.array([costs.vertex, costs.area])
-
-    def work(a: int, b: int, counts: U32, depths: F32, slopes: I16, areas: F64) -> int:
-        return int(
-            clamp_casters(
-                boxes, start, placed, scene.corners, scene.cluster_start, blocks, slabs, levels,
-                len(levels) - 1, horizon, pad, prices, exit_depth, a, b, counts, depths, slopes,
-                areas,
-            )
-        )  # fmt: skip
-
-    return _segments(scene.n_casters, frame, prices, work)
-
-
-def _clamp_point(scene: _Scene, vector: F32, costs: ClampCosts) -> _Clamped:
-    """Return the segments of a point light."""
-    positions, pad, levels = scene.positions, scene.pad_m, scene.levels
-    blocks = np.empty((6, int(levels[-1]), 5, 8), np.float32)
-    nearest = np.empty((6, scene.n_clusters), np.float32)
-
-    def bound(a: int, b: int) -> None:
-        bound_clusters_in_views(
-            positions, scene.corners, scene.cluster_start, vector, pad, a, b, blocks, nearest
-        )
-
-    for_shares(scene.n_clusters, bound)
-    for view in blocks:
-        raise_levels(levels, len(levels) - 1, scene.n_clusters, view)
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    away = np.abs(np.stack([low, high]) - vector[:3].astype(np.float64)).max(axis=0)
-    exit_distance = float(np.linalg.norm(away))
-    prices = np.array([costs.vertex, costs.area])
-
-    def work(a: int, b: int, counts: U32, depths: F32, slopes: I16, areas: F64) -> int:
-        return int(
-            clamp_casters_in_views(
-                positions, scene.faces, scene.face_start, vector, blocks, nearest, levels,
-                len(levels) - 1, pad, prices, exit_distance, a, b, counts, depths, slopes, areas,
-            )
-        )  # fmt: skip
-
-    return _segments(scene.n_casters, light_frame(vector), prices, work)
-
-
-_Work = Callable[[int, int, U32, F32, I16, F64], int]
-
-
-def _segments(n_casters: int, frame: F64, prices: F64, work: _Work) -> _Clamped:
-    """Return what `work` writes for all casters, chunk by chunk on all threads."""
-    cuts = [*range(0, n_casters, _CHUNK), n_casters]
-    parts: list[tuple[U32, F32, I16, F64]] = [None] * (len(cuts) - 1)  # type: ignore[list-item]
-
-    def do(chunk: int) -> None:
-        a, b = cuts[chunk], cuts[chunk + 1]
-        counts = np.empty(b - a, np.uint32)
-        depths = np.empty((MOST_SEGMENTS * (b - a), 2), np.float32)
-        slopes = np.empty((MOST_SEGMENTS * (b - a), 2), np.int16)
-        areas = np.zeros(3)
-        n = work(a, b, counts, depths, slopes, areas)
-        parts[chunk] = counts, depths[:n].copy(), slopes[:n].copy(), areas
-
-    for_each(len(parts), do)
-    areas = np.zeros(3)
-    for part in parts:  # in this order, whatever the threads
-        areas += part[3]
-    counts = np.concatenate([np.zeros(1, np.uint32), *(part[0] for part in parts)])
-    return _Clamped(
-        frame=frame,
-        facts=np.concatenate((prices, areas)),
-        start=np.cumsum(counts, dtype=np.uint32),
-        depths=np.concatenate([part[1] for part in parts]),
-        slopes=np.concatenate([part[2] for part in parts]),
-    )

@@ -114,7 +114,6 @@ def whole_objects(lit: LitScene, scene: SceneTree, face_start: I64, costs: Clamp
     faces = np.repeat(starts[objects] - leaf_start[:-1], sizes[objects]) + np.arange(leaf_start[-1])
     blocks, slabs, levels = _tree(lit, faces, leaf_start)
     boxes = lit.boxes(face_start)
-    exit_depth = float(blocks[-1, 4].max())
     cuts = np.linspace(0, len(boxes), _PARTS + 1).astype(np.int64).tolist()
     parts: list[tuple[np.ndarray, ...]] = [()] * _PARTS
     prices = np.array([costs.vertex, costs.area])
@@ -125,9 +124,9 @@ def whole_objects(lit: LitScene, scene: SceneTree, face_start: I64, costs: Clamp
         depths = np.empty((MOST_SEGMENTS * (b - a), 2), np.float32)
         slopes = np.empty((MOST_SEGMENTS * (b - a), 2), np.int16)
         k = clamp_casters(
-            boxes, face_start, lit.placed, np.empty((0, 3), np.uint32), leaf_start, blocks, slabs,
-            levels, len(levels) - 1, np.zeros(2), lit.pad_m, prices, exit_depth, a, b, counts,
-            depths, slopes, np.zeros(3),
+            boxes, face_start, lit.placed, lit.mesh.faces, np.empty(0, np.uint32), leaf_start,
+            blocks, slabs, levels, len(levels) - 1, np.zeros(2), lit.pad_m, prices, a, b, counts,
+            depths, slopes,
         )  # fmt: skip
         parts[part] = counts, depths[:k].copy(), slopes[:k] / SLOPE_UNIT
 
@@ -174,11 +173,21 @@ def _tree(lit: LitScene, faces: I64, leaf_start: I64) -> tuple[F32, F64, I64]:
     blocks = np.empty((int(levels[-1]), 5, 8), np.float32)
     slabs = np.empty((n, 5), np.float64)
     edge_on = np.tile(lit.frame[0].astype(np.float32), (n, 1))  # gives no slab
-    corners = lit.mesh.faces[faces]
+    order = faces.astype(np.uint32)
     for_shares(
         n,
         lambda a, b: bound_clusters(
-            lit.placed, corners, leaf_start, edge_on, lit.frame, lit.pad_m, a, b, blocks, slabs
+            lit.placed,
+            lit.mesh.faces,
+            order,
+            leaf_start,
+            edge_on,
+            lit.frame,
+            lit.pad_m,
+            a,
+            b,
+            blocks,
+            slabs,
         ),
     )
     raise_levels(levels, len(levels) - 1, n, blocks)

@@ -182,14 +182,17 @@ def _slope(value):
 
 @_helper
 def _deepest(parts, found, begin, end):
-    """Return the slab's slopes of the receiver that lies deepest nearest to the middle."""
+    """Return the slab's slopes of the receiver that lies deepest nearest to the middle.
+
+    Of several, the largest slopes: the outcome depends on no order of receivers.
+    """
     best, su, sv = -_FAR, 0.0, 0.0
     for i in range(begin, end):
         part = parts[found[i]]
         u = min(max(0.0, part[0]), part[1])
         v = min(max(0.0, part[2]), part[3])
         at = min(part[7] + part[4] * u + part[5] * v, part[9])
-        if at > best:
+        if at > best or (at == best and (part[4] > su or (part[4] == su and part[5] > sv))):
             best, su, sv = at, part[4], part[5]
     return su, sv
 
@@ -216,7 +219,7 @@ def _cut(polygon, n, other, i, sign, limit):
 
 @_helper
 def _deepest_of_faces(
-    placed, corners, cluster_start, cluster, rectangle, su, sv, pad, polygon, other
+    placed, faces, order, cluster_start, cluster, rectangle, su, sv, pad, polygon, other
 ):
     """Return the most ``t - su u - sv v`` of a cluster's faces, cut to the rectangle.
 
@@ -229,7 +232,7 @@ def _deepest_of_faces(
     for f in range(cluster_start[cluster], cluster_start[cluster + 1]):
         beyond, outside = 15, 0
         for k in range(3):
-            p = corners[f, k]
+            p = faces[order[f], k]
             u = np.float64(placed[p, 0]) - mid_u
             v = np.float64(placed[p, 1]) - mid_v
             polygon[k, 0], polygon[k, 1], polygon[k, 2] = u, v, np.float64(placed[p, 2])
@@ -251,8 +254,8 @@ def _deepest_of_faces(
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def clamp_casters(
-    boxes, face_start, placed, corners, cluster_start, blocks, slabs, level_start, n_levels,
-    horizon, pad, costs, exit_depth, first, last, counts, depths, slopes, areas,
+    boxes, face_start, placed, faces, order, cluster_start, blocks, slabs, level_start, n_levels,
+    horizon, pad, costs, first, last, counts, depths, slopes,
 ):  # fmt: skip
     """Write the segments of the casters ``first .. last - 1`` of a directional light.
 
@@ -262,9 +265,9 @@ def clamp_casters(
         ``(n_casters, 6) float64`` [m]: of casters in the light's frame.
     face_start : ndarray
         ``(n_casters + 1,) int64``
-    placed, corners, cluster_start
+    placed, faces, order, cluster_start
         Vertices in the light's frame, and the faces of clusters (`kernels.light_boxes`);
-        without corners nothing is cut.
+        without an order nothing is cut.
     blocks, slabs, level_start, n_levels
         The tree over clusters (`kernels.light_boxes`).
     horizon : ndarray
@@ -273,31 +276,33 @@ def clamp_casters(
         [m]: what bounds were widened by.
     costs : ndarray
         ``(2,) float64``: of a vertex drawn, and of a square metre of side or cap.
-    exit_depth : float
-        [m]: where the whole scene ends; there an unclamped volume is counted to end.
     counts : ndarray
         ``(last - first,) uint32``: segments of each caster, to be written.
     depths, slopes : ndarray
         ``(m, 2) float32`` and ``(m, 2) int16``, m at least ``8 (last - first)``: near and
         far, and slopes along u and v, of all segments one after the other.
-    areas : ndarray
-        ``(3,) float64`` [m^2]: surfaces are added: unclamped, of each caster's box
-        alone, and clamped.
 
     Returns
     -------
     int
         Segments written.
+
+    Notes
+    -----
+    A caster's segments depend on which clusters it meets, not on their order in the tree.
     """
     stack = np.empty(_STACK, np.int64)
-    n_clusters = len(slabs)
-    found = np.empty(n_clusters, np.int64)
-    begin = np.empty(n_clusters, np.float64)
-    end = np.empty(n_clusters, np.float64)
-    parts = np.empty((n_clusters, 10), np.float64)
-    cluster = np.empty(n_clusters, np.int64)
-    bound = np.empty(n_clusters, np.float64)
-    is_cut = np.empty(n_clusters, np.bool_)
+    n_faces = 0
+    for c in range(first, last):
+        n_faces = max(n_faces, face_start[c + 1] - face_start[c])
+    n_most = _MOST_RECEIVERS + 2 * n_faces + 8
+    found = np.empty(n_most, np.int64)
+    begin = np.empty(n_most, np.float64)
+    end = np.empty(n_most, np.float64)
+    parts = np.empty((n_most, 10), np.float64)
+    cluster = np.empty(n_most, np.int64)
+    bound = np.empty(n_most, np.float64)
+    is_cut = np.empty(n_most, np.bool_)
     polygon = np.empty((10, 3), np.float64)
     other = np.empty((10, 3), np.float64)
     rectangle = np.empty(4, np.float64)
@@ -309,8 +314,6 @@ def clamp_casters(
         width, height = rectangle[1] - rectangle[0], rectangle[3] - rectangle[2]
         mid_u, mid_v = rectangle[0] + 0.5 * width, rectangle[2] + 0.5 * height
         rim, cap = 2.0 * (width + height), width * height
-        areas[0] += rim * (exit_depth - front) + 2.0 * cap
-        areas[1] += rim * (back - front) + 2.0 * cap
         u0, u1 = np.float32(rectangle[0]), np.float32(rectangle[1])
         v0, v1 = np.float32(rectangle[2]), np.float32(rectangle[3])
         most = _MOST_RECEIVERS + 2 * (face_start[c + 1] - face_start[c])
@@ -371,7 +374,7 @@ def clamp_casters(
                 if tried < surface:
                     surface, far, slope_u, slope_v = tried, high, su, sv
                     near = front if n_segments == 0 else low
-            if i > start and surface > _WORTH_CUTTING and len(corners) > 0:
+            if i > start and surface > _WORTH_CUTTING and len(order) > 0:
                 # Receivers are cut, the deepest one first, until none that is not could be.
                 for k in range(start, i):
                     _, bound[k] = _spread(parts[found[k]], slope_u, slope_v)
@@ -384,17 +387,15 @@ def clamp_casters(
                     if is_cut[at]:
                         break
                     exact = _deepest_of_faces(
-                        placed, corners, cluster_start, cluster[found[at]], rectangle, slope_u,
-                        slope_v, pad, polygon, other,
+                        placed, faces, order, cluster_start, cluster[found[at]], rectangle,
+                        slope_u, slope_v, pad, polygon, other,
                     )  # fmt: skip
                     bound[at] = min(bound[at], exact)
                     is_cut[at] = True
                 deepest = bound[start]
                 for k in range(start + 1, i):
                     deepest = max(deepest, bound[k])
-                surface -= rim * (far - max(deepest, near))
                 far = max(deepest, near)
-            areas[2] += surface
             shift = slope_u * mid_u + slope_v * mid_v
             if n_segments == 0:
                 # Parallel to its end, and nowhere behind the caster's front.

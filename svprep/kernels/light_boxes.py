@@ -51,15 +51,15 @@ def place_vertices(positions, frame, first, last, placed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def choose_normals(positions, corners, start, first, last, normals):
+def choose_normals(positions, faces, order, start, first, last, normals):
     """Write the unit normal of the largest face, the first if several are, of clusters.
 
     Parameters
     ----------
     positions : ndarray
         ``(n_vertices, 3) float32`` [m]
-    corners : ndarray
-        ``(n_faces, 3) uint32``: of faces in the order of clusters.
+    faces, order : ndarray
+        ``(n_faces, 3) uint32`` and ``(n,) uint32``: faces in the order of clusters.
     start : ndarray
         ``(n_clusters + 1,) int64``
     normals : ndarray
@@ -68,7 +68,8 @@ def choose_normals(positions, corners, start, first, last, normals):
     for i in range(first, last):
         largest = 0.0
         for f in range(start[i], start[i + 1]):
-            a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+            g = order[f]
+            a, b, c = faces[g, 0], faces[g, 1], faces[g, 2]
             ux = np.float64(positions[b, 0]) - np.float64(positions[a, 0])
             uy = np.float64(positions[b, 1]) - np.float64(positions[a, 1])
             uz = np.float64(positions[b, 2]) - np.float64(positions[a, 2])
@@ -84,15 +85,15 @@ def choose_normals(positions, corners, start, first, last, normals):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def bound_clusters(placed, corners, start, normals, frame, pad, first, last, blocks, slabs):
+def bound_clusters(placed, faces, order, start, normals, frame, pad, first, last, blocks, slabs):
     """Write the boxes and slabs of the clusters ``first .. last - 1``.
 
     Parameters
     ----------
     placed : ndarray
         ``(n_vertices, 3) float32`` [m], in the light's frame.
-    corners : ndarray
-        ``(n_faces, 3) uint32``: of faces in the order of clusters.
+    faces, order : ndarray
+        ``(n_faces, 3) uint32`` and ``(n,) uint32``: faces in the order of clusters.
     start : ndarray
         ``(n_clusters + 1,) int64``: where each cluster's faces begin.
     normals : ndarray
@@ -117,7 +118,7 @@ def bound_clusters(placed, corners, start, normals, frame, pad, first, last, blo
         u1, v1, t1, high = -np.inf, -np.inf, -np.inf, -np.inf
         for f in range(start[i], start[i + 1]):
             for k in range(3):
-                p = corners[f, k]
+                p = faces[order[f], k]
                 u = np.float64(placed[p, 0])
                 v = np.float64(placed[p, 1])
                 t = np.float64(placed[p, 2])

@@ -25,7 +25,7 @@ _PIECE = 16
 """Faces of a caster that are bounded together: the nearer and farther ones of a large
 caster are clamped apart."""
 _STACK = 1024
-_MOST_KEPT = 4096
+_KEPT_AT_FIRST = 4096
 _INF = np.inf
 
 _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -125,15 +125,17 @@ def _finish(bounds, view, pad):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def bound_clusters_in_views(positions, corners, start, light, pad, first, last, blocks, nearest):
+def bound_clusters_in_views(
+    positions, faces, order, start, light, pad, first, last, blocks, nearest
+):
     """Write the boxes of the clusters ``first .. last - 1`` in the six views.
 
     Parameters
     ----------
     positions : ndarray
         ``(n_vertices, 3) float32`` [m]
-    corners : ndarray
-        ``(n_faces, 3) uint32``: of faces in the order of clusters.
+    faces, order : ndarray
+        ``(n_faces, 3) uint32`` and ``(n,) uint32``: faces in the order of clusters.
     start : ndarray
         ``(n_clusters + 1,) int64``
     light : ndarray
@@ -153,7 +155,7 @@ def bound_clusters_in_views(positions, corners, start, light, pad, first, last, 
     for i in range(first, last):
         _begin(bounds)
         for f in range(start[i], start[i + 1]):
-            _add_face(positions, corners, f, light, polygon, other, bounds)
+            _add_face(positions, faces, order[f], light, polygon, other, bounds)
         for view in range(6):
             _finish(bounds, view, pad)
             for r in range(4):
@@ -180,12 +182,12 @@ def _sort(near, far, n):
 
 
 @_helper
-def _merge(near, far, n, least_gap):
-    """Sort intervals and join those that are not more than `least_gap` apart; count them."""
+def _merge(near, far, n):
+    """Sort intervals and join those that meet; count them."""
     _sort(near, far, n)
     kept = 0
     for i in range(1, n):
-        if near[i] <= far[kept] + least_gap:
+        if near[i] <= far[kept]:
             far[kept] = max(far[kept], far[i])
         else:
             kept += 1
@@ -195,11 +197,12 @@ def _merge(near, far, n, least_gap):
 
 @_helper
 def _add_receivers(blocks, nearest, level_start, n_levels, bounds, stack, near, far, n):
-    """Add the intervals of ln k of a piece's receivers in one view; count all intervals.
+    """Add the intervals of ln k of a piece's receivers in one view.
 
+    Returns all of them, ``near, far``, and how many: the arrays grow where they must.
     Interval 0 begins at the caster. What it holds already is passed over, whole branches
-    at once, and what touches it only makes it longer. Too many others are joined where
-    they are closest, which makes them longer, never shorter.
+    at once, and what touches it only makes it longer. So the union of all depends on no
+    order of receivers.
     """
     u0, u1 = np.float32(bounds[0]), np.float32(bounds[1])
     v0, v1 = np.float32(bounds[2]), np.float32(bounds[3])
@@ -209,7 +212,7 @@ def _add_receivers(blocks, nearest, level_start, n_levels, bounds, stack, near, 
         depth -= 1
         level = stack[depth] % 32
         block = stack[depth] // 32
-        t0 = np.float32(bounds[4] + far[0] - 1e-6)
+        t0 = np.float32(bounds[4] + far[0] - 2e-6)  # all such lie within interval 0
         bits = 0
         for k in range(8):
             inside = (
@@ -234,20 +237,20 @@ def _add_receivers(blocks, nearest, level_start, n_levels, bounds, stack, near, 
             if low <= far[0]:
                 far[0] = max(far[0], high)
                 continue
-            if n == _MOST_KEPT:
-                least_gap = 0.0
-                while n > _MOST_KEPT // 2:
-                    n = _merge(near, far, n, least_gap)
-                    least_gap = max(4.0 * least_gap, 1e-4)
+            if n == len(near):
+                n = _merge(near, far, n)
+                if 2 * n > len(near):
+                    near = np.concatenate((near, np.empty_like(near)))
+                    far = np.concatenate((far, np.empty_like(far)))
             near[n], far[n] = low, high
             n += 1
-    return n
+    return near, far, n
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 def clamp_casters_in_views(
     positions, corners, face_start, light, blocks, nearest, level_start, n_levels, pad, costs,
-    exit_distance, first, last, counts, depths, slopes, areas,
+    first, last, counts, depths, slopes,
 ):  # fmt: skip
     """Write the segments of the casters ``first .. last - 1`` of a point light.
 
@@ -263,9 +266,7 @@ def clamp_casters_in_views(
         The tree over clusters in each view, its levels raised.
     costs : ndarray
         ``(2,) float64``: of a vertex drawn, and of a square metre of side or cap.
-    exit_distance : float
-        [m]: of the scene's farthest corner; there an unclamped volume is counted to end.
-    counts, depths, slopes, areas
+    counts, depths, slopes
         As in `kernels.clamping.clamp_casters`; depths are k, slopes 0. A caster counts
         as its bounding sphere.
 
@@ -279,8 +280,8 @@ def clamp_casters_in_views(
     bounds = np.empty((6, 6), np.float64)
     low = np.empty(3, np.float64)
     high = np.empty(3, np.float64)
-    near = np.empty(_MOST_KEPT, np.float64)
-    far = np.empty(_MOST_KEPT, np.float64)
+    near = np.empty(_KEPT_AT_FIRST, np.float64)
+    far = np.empty(_KEPT_AT_FIRST, np.float64)
     stack = np.empty(_STACK, np.int64)
     n_written = 0
     for c in range(first, last):
@@ -306,17 +307,13 @@ def clamp_casters_in_views(
                 _add_face(positions, corners, f, light, polygon, other, bounds)
             for view in range(6):
                 if _finish(bounds, view, pad):
-                    n = _add_receivers(
+                    near, far, n = _add_receivers(
                         blocks[view], nearest[view], level_start, n_levels, bounds[view], stack,
                         near, far, n,
                     )  # fmt: skip
-        n = _merge(near, far, n, 0.0)
+        n = _merge(near, far, n)
         disc = math.pi * radius * radius
         band = math.pi * radius * distance
-        own = 1.0 + 2.0 * radius / distance
-        away = max(exit_distance / distance, 1.0)
-        areas[0] += band * (away * away - 1.0) + disc * (1.0 + away * away)
-        areas[1] += band * (own * own - 1.0) + disc * (1.0 + own * own)
         # Of the gaps with V < R, the two stay that save most. Shadows grow with k, and so does
         # what any gap saves: without a bound nearly all would stay, and take too much memory.
         most, second = 0.0, 0.0
@@ -339,8 +336,6 @@ def clamp_casters_in_views(
             while i < n and i != split and i != other_split:
                 i += 1
             k0, k1 = math.exp(near[start]), math.exp(far[i - 1])
-            seen = min(k1, max(away, k0))
-            areas[2] += band * (seen * seen - k0 * k0) + disc * (seen * seen + k0 * k0)
             depths[n_written, 0] = k0 - 2e-7 * k0
             depths[n_written, 1] = k1 + 2e-7 * k1
             slopes[n_written, 0] = 0

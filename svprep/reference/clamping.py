@@ -313,17 +313,19 @@ def _spread(receiver: _Receiver, box: Box, su: float, sv: float) -> tuple[float,
 
 
 def _deepest(run: list[_Receiver], box: Box) -> tuple[float, float]:
-    """Return the slopes of the slab that lies deepest where it is nearest to the middle."""
+    """Return the slopes of the slab that lies deepest where it is nearest to the middle.
+
+    Of several, the largest slopes.
+    """
     mid_u, mid_v = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
-    best, slopes = -math.inf, (0.0, 0.0)
+    deepest = []
     for receiver in run:
         u0, u1, v0, v1 = _overlap(receiver, box)
         u, v = min(max(0.0, u0), u1), min(max(0.0, v0), v1)
         hi = receiver.hi + (receiver.su * mid_u + receiver.sv * mid_v)
         at = min(hi + receiver.su * u + receiver.sv * v, receiver.box[5])
-        if at > best:
-            best, slopes = at, (receiver.su, receiver.sv)
-    return slopes
+        deepest.append((at, receiver.su, receiver.sv))
+    return max(deepest)[1:]
 
 
 def _stored_slope(value: float) -> float:

@@ -281,7 +281,7 @@ def test_threads_change_nothing(mesh: SourceMesh, vector: np.ndarray) -> None:
     # Chunks of a few casters, so that several threads have some.
     prepared = prepare(mesh, BuildConfig())
     light, costs = light_of(vector), ClampCosts(vertex=0.01)
-    with patch("svprep.clamp._CHUNK", 3):
+    with patch("svprep.clamp_views._CHUNK", 3):
         tables = []
         for n in (1, 2, 3):
             with patch.dict("os.environ", {"SVPREP_THREADS": str(n)}):

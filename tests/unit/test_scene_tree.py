@@ -146,7 +146,8 @@ def test_near_faces_are_together() -> None:
     n_lowest = int(level_starts(len(tree.cluster_start) - 1)[1])
     sides = tree.cluster_nodes[:n_lowest, 3:] - tree.cluster_nodes[:n_lowest, :3]
     # 64 of 1472 faces cover a patch of 74 m x 74 m; drawn at random, they would reach over 200 m.
-    assert sides.max(axis=1).max() < 120.0
+    assert np.median(sides.max(axis=1)) < 110.0
+    assert sides.max() < 140.0
 
 
 def test_the_same_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
