@@ -1,184 +1,157 @@
-"""Time `svprep build` against reading the same OBJ with its peers, in one run.
+"""Time `svprep build`: against peers, for the first time, over an older cache, ten times as large.
 
-    python3 scripts/benchmark_build.py                    17,420 objects, 5 rounds
-    python3 scripts/benchmark_build.py --objects 2000 --rounds 3
-    python3 scripts/benchmark_build.py --input city.obj
+    python3 scripts/benchmark_build.py --work ~/svprep-bench -o build.md --json build.json
+    python3 scripts/benchmark_build.py --objects 500 --rounds 2
+    python3 scripts/benchmark_build.py --only build --input city.obj
+    python3 scripts/benchmark_build.py --region --work ~/svprep-bench
+    python3 scripts/benchmark_build.py --remake build.json -o build.md
 
-Each command runs in a fresh process, in turn, so that a slow spell of a shared
-machine hits all of them; ratios are taken round by round. Peers that are not
-installed are named and left out (pip install pymeshlab meshlib trimesh).
-A first build with an empty kernel cache is timed apart.
+Each command runs in a fresh process, in turn, so that a slow spell of a shared machine hits
+all of them; ratios are taken round by round. Peers that are not installed are named and left
+out (pip install pymeshlab meshlib trimesh). --region adds a city of ten times the objects,
+which takes 1.1 GB of disk and some minutes to make, once; --work FOLDER keeps it.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
-import statistics
-import subprocess
 import sys
 import tempfile
-import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from build_benchmark.models import Building, find_building, make_city
+from build_benchmark.processes import ROOT, CommandFailed, Run, load, machine, run
+from build_benchmark.report import Figures, markdown
+from build_benchmark.rounds import (
+    BUILD,
+    FIRST,
+    HELP,
+    INCREMENTAL,
+    REGION,
+    REGION_FACTOR,
+    Bench,
+    Inconsistent,
+)
+from build_benchmark.series import spread as median_spread
 
-PEERS = {
-    "read bytes": "import sys; open(sys.argv[1], 'rb').read()",
-    "trimesh load": "import sys, trimesh; trimesh.load(sys.argv[1], process=False)",
-    "pymeshlab load": "import sys, pymeshlab as p; p.MeshSet().load_new_mesh(sys.argv[1])",
-    "pymeshlab load + repair": (
-        "import sys, pymeshlab as p; m = p.MeshSet(); m.load_new_mesh(sys.argv[1]); "
-        "m.meshing_remove_duplicate_vertices(); m.meshing_remove_duplicate_faces(); "
-        "m.meshing_remove_null_faces(); m.meshing_repair_non_manifold_edges()"
-    ),
-    "MeshLib load": "import sys; from meshlib import mrmeshpy as m; m.loadMesh(sys.argv[1])",
-}
+__all__ = ["ROOT", "Run", "main", "median_spread", "run"]  # benchmark_formats takes these
 
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One finished process."""
-
-    wall_s: float
-    cpu_s: float
-    peak_mb: float
-    exit_status: int
-    last_words: str
+PARTS = (BUILD, FIRST, HELP, INCREMENTAL)
 
 
-def run(command: list[str], environment: dict[str, str] | None = None) -> Run:
-    """Run a command to its end and account for it."""
-    begun = time.perf_counter()
-    with tempfile.TemporaryFile() as errors:
-        process = subprocess.Popen(
-            command,
-            stdout=subprocess.DEVNULL,
-            stderr=errors,
-            env={**os.environ, **(environment or {})},
-        )
-        _, status, usage = os.wait4(process.pid, 0)
-        wall_s = time.perf_counter() - begun
-        process.returncode = os.waitstatus_to_exitcode(status)
-        errors.seek(0)
-        lines = errors.read().decode(errors="replace").strip().splitlines()
-    return Run(
-        wall_s=wall_s,
-        cpu_s=usage.ru_utime + usage.ru_stime,
-        peak_mb=usage.ru_maxrss / 1024,
-        exit_status=process.returncode,
-        last_words=lines[-1] if lines else "",
-    )
-
-
-def has_module(name: str) -> bool:
-    """Whether this Python can import a peer."""
-    return (
-        subprocess.run(
-            [sys.executable, "-c", f"import {name}"], capture_output=True, check=False
-        ).returncode
-        == 0
-    )
-
-
-def commands(source: Path, cache: Path) -> dict[str, list[str]]:
-    """Return what is timed: svprep first, then the peers that are installed."""
-    timed = {
-        "svprep build": [sys.executable, "-m", "svprep", "build", str(source), "-o", str(cache)]
-    }
-    modules = {"trimesh": "trimesh", "pymeshlab": "pymeshlab", "MeshLib": "meshlib"}
-    for name, code in PEERS.items():
-        module = modules.get(name.split()[0])
-        if module and not has_module(module):
-            print(f"not installed, left out: {name}", file=sys.stderr)
-            continue
-        timed[name] = [sys.executable, "-c", code, str(source)]
-    return timed
-
-
-def median_spread(values: list[float]) -> str:
-    """Return ``median (min-max)``."""
-    return f"{statistics.median(values):.2f} ({min(values):.2f}-{max(values):.2f})"
-
-
-def main() -> int:
-    """Make the city, run everything in turn, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--objects", type=int, default=17420)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--input", type=Path, help="an OBJ of your own instead of the city")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures")
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        source = options.input or Path(folder) / "city.obj"
-        if options.input is None:
-            make = [sys.executable, str(ROOT / "scripts" / "make_city.py")]
-            subprocess.run(
-                [*make, "--objects", str(options.objects), "-o", str(source)],
-                check=True,
-                stderr=subprocess.DEVNULL,
-            )
-        cache = Path(folder) / "city.svp.h5"
-        build = commands(source, cache)["svprep build"]
-        first = run(build, {"NUMBA_CACHE_DIR": str(Path(folder) / "empty")})
-        summary = json.loads(
-            subprocess.run([*build, "--json"], capture_output=True, check=True).stdout
-        )
-        runs: dict[str, list[Run]] = {}
-        for _ in range(options.rounds):
-            for name, command in commands(source, cache).items():
-                runs.setdefault(name, []).append(run(command))
-        n_bytes = source.stat().st_size
-        report(runs, first, summary, n_bytes)
-        if options.json:
-            write_json(options.json, runs, first, summary, n_bytes)
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit code."""
+    options = _options(argv)
+    try:
+        if options.remake:
+            figures = Figures.of(json.loads(options.remake.read_text(encoding="utf-8")))
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                work = options.work or Path(folder)
+                work.mkdir(parents=True, exist_ok=True)
+                figures = _measure(options, work)
+    except (CommandFailed, Inconsistent, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    text = markdown(figures)
+    print(text, end="")
+    if options.output:
+        options.output.write_text(text, encoding="utf-8")
+    if options.json:
+        options.json.write_text(json.dumps(asdict(figures), indent=1) + "\n", encoding="utf-8")
     return 0
 
 
-def report(runs: dict[str, list[Run]], first: Run, summary: dict, n_bytes: int) -> None:
-    """Print the table: wall seconds, ratio to svprep round by round, peak memory."""
-    triangles = summary["triangles_in"]
-    print(
-        f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores, Python "
-        f"{platform.python_version()}; {summary['objects']:,} objects, {triangles:,} triangles, "
-        f"OBJ {n_bytes / 1e6:.1f} MB, cache {summary['n_bytes'] / 1e6:.1f} MB "
-        f"({summary['n_bytes'] / n_bytes:.2f} of the OBJ, "
-        f"{summary['n_bytes'] / triangles:.0f} bytes/triangle)"
+def _measure(options: argparse.Namespace, work: Path) -> Figures:
+    """Return all figures."""
+    parts = {*(options.only or PARTS), *([REGION] if options.region else [])}
+    began = load()
+    city = options.input or make_city(options.objects, work / f"city_{options.objects}.obj")
+    building = find_building(city) if INCREMENTAL in parts else None  # a slip is told early
+    n_objects = REGION_FACTOR * options.objects
+    bench = Bench(city, work, options.rounds)
+    try:
+        imports_numpy = _run_parts(bench, parts, n_objects, building)
+    finally:
+        bench.clean()
+    region = work / f"city_{n_objects}.obj"
+    return Figures(
+        command=_command(options),
+        machine=machine(),
+        load=f"Load average {began} when the run began, {load()} when it ended.",
+        model=city.name if options.input else "Generated city",
+        n_bytes=city.stat().st_size,
+        region_bytes=region.stat().st_size if REGION in parts else None,
+        imports_numpy=imports_numpy,
+        left_out=bench.left_out,
+        rows=bench.rows,
     )
-    print(f"{'':26}{'wall s, median (range)':>26}{'x svprep build':>22}{'peak MB':>9}")
-    ours = [r.wall_s for r in runs["svprep build"]]
-    for name, done in runs.items():
-        if any(r.exit_status for r in done):
-            print(f"{name:26}  gave up: {done[0].last_words[:90]}")
-            continue
-        ratios = [r.wall_s / own for r, own in zip(done, ours, strict=True)]
-        print(
-            f"{name:26}{median_spread([r.wall_s for r in done]):>26}"
-            f"{median_spread(ratios):>22}{max(r.peak_mb for r in done):>9.0f}"
-        )
-    print(f"{'first build, no kernels':26}{first.wall_s:>14.2f}{'':34}{first.peak_mb:>9.0f}")
-    stages = ", ".join(f"{name} {s:.2f}" for name, s in summary["seconds"].items())
-    rate = triangles / statistics.median(ours) / 1e6
-    print(f"svprep stages, one run [s]: {stages}; {rate:.2f} Mtri/s for the whole process")
 
 
-def write_json(
-    path: Path, runs: dict[str, list[Run]], first: Run, summary: dict, n_bytes: int
-) -> None:
-    """Write every figure, for later comparison."""
-    figures = {
-        "source_bytes": n_bytes,
-        "summary": summary,
-        "first_build_wall_s": first.wall_s,
-        "runs": {
-            name: [{"wall_s": r.wall_s, "cpu_s": r.cpu_s, "peak_mb": r.peak_mb} for r in done]
-            for name, done in runs.items()
-        },
-    }
-    path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+def _run_parts(
+    bench: Bench, parts: set[str], n_objects: int, building: Building | None
+) -> bool | None:
+    """Run the parts; return whether ``svprep --help`` imports NumPy, None if that is not asked."""
+    imports_numpy = None
+    if HELP in parts:
+        bench.helps()
+        imports_numpy = bench.imports_numpy()
+    if BUILD in parts:
+        bench.compare()
+    if building is not None:
+        bench.incremental(building)
+    if FIRST in parts:
+        bench.first_builds()
+    if REGION in parts:
+        bench.region(n_objects)
+    return imports_numpy
+
+
+def _command(options: argparse.Namespace) -> str:
+    """Return the command line, without the names of this machine's folders."""
+    model = f"--input {options.input.name}" if options.input else f"--objects {options.objects}"
+    words = ["python3 scripts/benchmark_build.py", model, f"--rounds {options.rounds}"]
+    words += [f"--only {part}" for part in options.only or ()]
+    words += ["--region"] if options.region else []
+    words += ["--work FOLDER"] if options.work else []
+    words += ["-o FILE.md"] if options.output else []
+    return " ".join(words)
+
+
+def _options(argv: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--objects", type=_count, default=17420, metavar="N", help="default 17420")
+    parser.add_argument("--rounds", type=_count, default=5, metavar="N", help="default 5")
+    parser.add_argument("--input", type=Path, metavar="OBJ", help="your own instead of the city")
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=(*PARTS, REGION),
+        metavar="PART",
+        help=f"run this part; may be repeated: {', '.join((*PARTS, REGION))}",
+    )
+    parser.add_argument("--region", action="store_true", help="also ten times the city; minutes")
+    parser.add_argument("--work", type=Path, metavar="FOLDER", help="keep and reuse cities here")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="write the report")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every process's figures")
+    parser.add_argument(
+        "--remake", type=Path, metavar="FILE", help="run nothing: report what --json wrote"
+    )
+    options = parser.parse_args(argv)
+    if options.input and (options.region or REGION in (options.only or ())):
+        parser.error("the region is ten times the generated city, so it goes without --input")
+    return options
+
+
+def _count(text: str) -> int:
+    """Parse a number of at least 1."""
+    if (value := int(text)) < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {value}")
+    return value
 
 
 if __name__ == "__main__":

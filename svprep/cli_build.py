@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,11 +16,14 @@ from svprep import cli_clamp, pipeline, report
 from svprep.cache.reader import Cache, open_cache
 from svprep.clamp import ClampCosts
 from svprep.cli_messages import crs_name
+from svprep.defects import LEFT_OUT, Code
 from svprep.ingest.crs_names import is_place_on_earth
 from svprep.ingest.inputs import expanded
 from svprep.ingest.options import HIGHEST, ReadOptions, is_lod
-from svprep.model import Place, Prepared
-from svprep.warm import second_compiler
+from svprep.model import EdgeTable, Place
+from svprep.parallel import thread_count
+from svprep.stage_clock import StageRow
+from svprep.warm import load_without_compiler, second_compiler
 
 Tell = Callable[[str, int, int], None]
 
@@ -27,6 +31,9 @@ _MOST_NAMES: Final = 12
 _MOST_SOURCES: Final = 12
 _MOST_NOTES: Final = 25
 """What people are shown at most; --json and --report list all."""
+_LEAST_MEMORY: Final = 64 << 20
+_SIZE: Final = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,15})?) ?([kmgt]?)(?:i?b)?", re.IGNORECASE)
+_BYTES_OF_UNIT: Final = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +46,31 @@ class Order:
     lights: Sequence[str]
     costs: ClampCosts | None
     report: Path | None
+    memory_bytes: int | None = None
+    """[B]: about what the process may hold; None: all of the model."""
+    is_full: bool = False
+    """Whether objects that an older cache holds are built again as well."""
+
+
+def memory_of(text: str) -> int:
+    """Return the bytes of ``"512M"``, ``"1.5GiB"``, ``"2 TB"`` or of a plain number of them.
+
+    K, M, G and T are powers of 1024, however they are written.
+
+    Raises
+    ------
+    typer.BadParameter
+        It is not of that form, or less than 64M.
+    """
+    match = _SIZE.fullmatch(text.strip())
+    if match is None:
+        raise typer.BadParameter(f'--memory "{text[:40]}" is not a size like 512M or 2G')
+    n_bytes = int(float(match[1]) * _BYTES_OF_UNIT[match[2].lower()])
+    if n_bytes < _LEAST_MEMORY:
+        raise typer.BadParameter(
+            f'--memory "{text[:40]}" is too little to build with; give 64M or more'
+        )
+    return n_bytes
 
 
 def config_of(
@@ -86,7 +118,9 @@ def build(order: Order, tell: Tell) -> dict[str, Any]:
             raise typer.BadParameter(f"{order.report}: a report is .json or .csv; name it so")
         cache = order.output or pipeline.default_cache_path(order.inputs)
         report.REPORT.checked_path(order.report, [*expanded(order.inputs).paths, cache])
-    with second_compiler():
+    thread_count()  # a slip in SVPREP_THREADS is told before any work
+    load_without_compiler()
+    with second_compiler(order.lights):
         result = pipeline.build(
             order.inputs,
             order.output,
@@ -94,15 +128,33 @@ def build(order: Order, tell: Tell) -> dict[str, Any]:
             lambda stage: tell(stage, pipeline.STAGES.index(stage), len(pipeline.STAGES)),
             lights=order.lights,
             costs=order.costs,
+            memory_bytes=order.memory_bytes,
+            is_full=order.is_full,
         )
     if order.report is not None:
         report.write_report(result.prepared, order.report)
+    with open_cache(result.cache.path, check_digests=False) as built:
+        content = _content(built)
     return {
         "cache": str(result.cache.path),
         "n_bytes": result.cache.n_bytes,
         "content_digest": result.cache.content_digest,
-        **_content(result.prepared),
+        **content,
+        "reused_objects": result.reused,
+        "remarks": list(result.remarks),
         "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
+        "stages": [_stage(row) for row in result.stages],
+    }
+
+
+def _stage(row: StageRow) -> dict[str, Any]:
+    """Return what ``--json`` says of one stage."""
+    return {
+        "name": row.name,
+        "seconds": round(row.seconds, 4),
+        "peak_mb": None if row.peak_mb is None else round(row.peak_mb, 1),
+        "mtri_per_s": None if row.mtri_per_s is None else float(f"{row.mtri_per_s:.4g}"),
+        "bytes_written": row.bytes_written,
     }
 
 
@@ -119,47 +171,62 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def _cache_summary(cache: Cache) -> dict[str, Any]:
-    prepared = cache.prepared()
     return {
         "cache": str(cache.path),
         "n_bytes": cache.path.stat().st_size,
         "content_digest": cache.content_digest,
         "producer_version": cache.producer_version,
-        "config": prepared.config,
+        "config": cache.config,
         "crs": cache.crs,
-        "grid_origin_m": prepared.mesh.grid.origin_m.tolist(),
-        "planar_tolerance_m": prepared.planes.tolerance_m,
-        **_content(prepared),
+        "grid_origin_m": cache.grid.origin_m.tolist(),
+        "planar_tolerance_m": cache.planes.tolerance_m,
+        **_content(cache),
         "datasets": cache.dataset_sizes(),
     }
 
 
-def _content(prepared: Prepared) -> dict[str, Any]:
-    """Return what `build` and `info` both say of a city."""
-    labels = prepared.labels
+def _content(cache: Cache) -> dict[str, Any]:
+    """Return what `build` and `info` both say of a city.
+
+    Of the large tables only the columns that are counted are read: a city may be larger
+    than memory.
+    """
+    labels, repair = cache.labels, cache.repair
+    flags = cache.raw("edges/flags")
+    edges = EdgeTable(rows=np.empty((0, 4), np.uint32), flags=flags)
+    left_out = np.isin(repair.face_findings.code, (*LEFT_OUT, Code.SHORT_POLYGON))
     return {
-        "sources": [asdict(source) for source in prepared.sources],
-        "place": asdict(prepared.place),
-        "objects": len(prepared.object_names),
+        "sources": [asdict(source) for source in cache.sources],
+        "place": asdict(cache.place),
+        "objects": cache.n_objects,
         "object_types": report.type_counts(labels),
         "objects_with_parent": sum(1 for parent in labels.object_parents if parent),
         "faces_by_surface": report.surface_counts(labels.surface_of_face, labels),
-        "triangles_in": int(prepared.repair.source_triangles.sum()),
-        "faces": len(prepared.mesh.faces),
-        "vertices": len(prepared.mesh.positions),
-        "planes": len(prepared.planes.planes),
-        "edges": report.edge_counts(prepared.edges),
-        **report.component_counts(prepared.components.flags),
-        "index": report.index_counts(prepared.index),
-        "clusters": len(prepared.scene.cluster_start) - 1,
-        "lights": cli_clamp.light_facts(prepared.clamp, prepared.mesh.grid),
-        "grid_step_m": prepared.mesh.grid.step_m,
-        "extent_m": report.extent_m(prepared.mesh),
-        "left_out": len(report.left_out_faces(prepared)),
-        "turned": len(prepared.repair.flipped_faces),
-        "defects": report.total_counts(prepared.repair),
-        "notes": list(prepared.notes),
+        "triangles_in": int(repair.source_triangles.sum(dtype=np.int64)),
+        "faces": cache.n_faces,
+        "vertices": cache.n_vertices,
+        "planes": cache.n_planes,
+        "edges": report.edge_counts(edges),
+        **report.component_counts(cache.raw("components/flags")),
+        "index": report.index_counts(cache.index),
+        "clusters": len(cache.raw("scene/cluster_start")) - 1,
+        "lights": cli_clamp.light_facts(cache.clamp, cache.grid),
+        "grid_step_m": cache.grid.step_m,
+        "extent_m": _extent_m(cache),
+        "left_out": int(np.count_nonzero(left_out)),
+        "turned": len(repair.flipped_faces),
+        "defects": report.total_counts(repair),
+        "notes": list(cache.notes),
     }
+
+
+def _extent_m(cache: Cache) -> list[float]:
+    """Return how far the mesh reaches along x, y and z [m], to the millimetre."""
+    positions = cache.raw("mesh/positions")
+    if not len(positions):
+        return [0.0, 0.0, 0.0]
+    axes = positions.T
+    return [round(float(axis.max()) - float(axis.min()), 3) for axis in axes]
 
 
 def build_lines(summary: dict[str, Any]) -> list[str]:
@@ -169,9 +236,26 @@ def build_lines(summary: dict[str, Any]) -> list[str]:
     return [
         *([f"sources  {n_sources:,} files, {_megabytes(summary)}"] if n_sources > 1 else []),
         *_content_lines(summary),
+        *_reused_lines(summary),
+        *(f"remark   {remark}" for remark in summary["remarks"]),
         f"seconds  {sum(summary['seconds'].values()):.2f} ({seconds})",
+        *_memory_lines(summary["stages"]),
         f"cache    {summary['cache']} ({summary['n_bytes'] / 1e6:.1f} MB)",
     ]
+
+
+def _reused_lines(summary: dict[str, Any]) -> list[str]:
+    """Return how much of an older cache was used, if any."""
+    n, of = summary["reused_objects"], summary["objects"]
+    if not n:
+        return []
+    return [f"reused   {n:,} of {of:,} objects, from the older cache; --full builds all again"]
+
+
+def _memory_lines(stages: list[dict[str, Any]]) -> list[str]:
+    """Return the most memory that was held, where the system tells."""
+    peaks = [s["peak_mb"] for s in stages if s["peak_mb"]]
+    return [f"memory   at most {max(peaks):,.0f} MB"] if peaks else []
 
 
 def _megabytes(summary: dict[str, Any]) -> str:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import sys
-import tempfile
-import traceback
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -23,6 +20,8 @@ def crs_name(crs: str) -> str:
 def show(summary: dict[str, Any], lines: list[str], *, as_json: bool) -> None:
     """Print a summary: one JSON object, or lines for people."""
     if as_json:
+        import json
+
         print(json.dumps(summary))
         return
     for line in lines:
@@ -51,6 +50,9 @@ def silence_output() -> None:
 
 def report_bug(bug: Exception) -> int:
     """Write the traceback to a log file and say in one line where it is."""
+    import tempfile
+    import traceback
+
     try:
         handle, name = tempfile.mkstemp(prefix="svprep-", suffix=".log")
         with os.fdopen(handle, "w") as log:

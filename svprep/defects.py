@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 
 class Code(IntEnum):
@@ -156,3 +157,6 @@ DEFECTS: dict[Code, Defect] = {
         ),
     )
 }
+
+LEFT_OUT: Final = (Code.DEGENERATE_FACE, Code.COLLAPSED_FACE, Code.DUPLICATE_FACE)
+"""Defects of triangles that are not in the mesh."""

@@ -268,6 +268,9 @@ class RepairRecord:
     object; column j is the j-th code of `svprep.defects.DEFECTS`."""
     source_triangles: U32
     """``(n_objects,)``: triangles before anything was dropped."""
+    source_digest: NDArray[np.uint64]
+    """``(n_objects, 2)``: 128 bits of what the sources say of each object's shape, by
+    which a later build knows it again; see `svprep.content`."""
     face_findings: FaceFindings
     """Defects of single source faces: every dropped or kept-with-a-remark face,
     sorted by (object, code, source face)."""
@@ -315,6 +318,22 @@ class SilhouetteIndex:
     """``(n_trees + 1,)``: where each one's edges begin in either tree."""
     cones: SilhouetteTree
     hextree: SilhouetteTree
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectTables:
+    """The tables of whole objects that depend on nothing but each object and the grid.
+
+    So those of a city are those of its objects, one after the other, with the indices
+    counted on.
+    """
+
+    mesh: Mesh
+    components: Components
+    planes: PlaneTable
+    edges: EdgeTable
+    index: SilhouetteIndex
+    repair: RepairRecord
 
 
 @dataclass(frozen=True, slots=True)

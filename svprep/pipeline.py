@@ -3,44 +3,38 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path
 
-import numpy as np
-
 from svprep.arc import leaves_out_place
+from svprep.building import (
+    labels_of,
+    no_area,
+    prepare_tiles,
+    read_and_compare,
+    room_for,
+)
 from svprep.cache.codec import Raw, clamp_datasets
 from svprep.cache.files import resolve_target
 from svprep.cache.reader import Cache, open_cache
-from svprep.cache.writer import CacheSummary, rewrite_cache, write_cache
+from svprep.cache.writer import CacheSummary, rewrite_cache, write_contents
 from svprep.clamp import ClampCosts, LightHook, clamp_lights, distinct, joined, selected
-from svprep.edges import build_edges
+from svprep.content import source_digests
 from svprep.errors import InputError
-from svprep.ingest import read
 from svprep.ingest.inputs import expanded, stem_of
 from svprep.ingest.options import ReadOptions
-from svprep.light import Light, Site, parse_lights
-from svprep.model import ClampTable, Labels, Mesh, Prepared, SourceMesh
-from svprep.planes import build_planes
+from svprep.light import Light, parse_lights
+from svprep.model import ClampTable, Prepared, SourceMesh
 from svprep.repair.grid import choose_grid, notes_on_step
-from svprep.repair.stage import record, repair
-from svprep.repair.weld import weld
 from svprep.scene_tree import build_scene_tree
-from svprep.silhouette.index import build_index
-
-StageHook = Callable[[str], None]
-"""Called with a stage's name when it starts: ``"load"``, ``"weld"``, ..."""
+from svprep.stage_clock import StageClock, StageRow
+from svprep.tiles import TILE_STAGES, StageHook, Tile, prepare_objects
 
 STAGES = (
     "load",
-    "weld",
-    "repair",
-    "planes",
-    "edges",
-    "silhouettes",
+    *TILE_STAGES,
     "scene tree",
     "clamp",
     "write",
@@ -74,9 +68,22 @@ class BuildResult:
     """What `build` made."""
 
     cache: CacheSummary
-    prepared: Prepared
-    seconds: dict[str, float]
-    """Wall seconds of each stage."""
+    stages: tuple[StageRow, ...]
+    reused: int
+    """Objects whose tables were taken over from the older cache."""
+    remarks: tuple[str, ...] = ()
+    """One line each on how this build went; nothing that the cache depends on."""
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Wall seconds of each stage."""
+        return {row.name: row.seconds for row in self.stages}
+
+    @property
+    def prepared(self) -> Prepared:
+        """Everything, read from the cache that was written."""
+        with open_cache(self.cache.path, check_digests=False) as cache:
+            return cache.prepared()
 
 
 def build(
@@ -87,6 +94,8 @@ def build(
     *,
     lights: Sequence[str] = (),
     costs: ClampCosts | None = None,
+    memory_bytes: int | None = None,
+    is_full: bool = False,
 ) -> BuildResult:
     """Build the cache of one or more model files.
 
@@ -105,6 +114,12 @@ def build(
         LAT,LON stands where the inputs say that the model does.
     costs : ClampCosts, optional
         What clamping weighs.
+    memory_bytes : int, optional
+        [B]: about what the process may hold. Tables that need more go to files in the
+        temporary folder (``TMPDIR``). The cache is the same.
+    is_full : bool
+        Build all objects, also those that the older cache of that name holds already. The
+        cache is the same. So it is with `memory_bytes`.
 
     Raises
     ------
@@ -118,23 +133,31 @@ def build(
     config = config or BuildConfig()
     # Text, because a Path would drop the slash of a folder's name.
     path = fspath(default_cache_path(inputs) if output is None else output)
-    resolve_target(path)  # a slip of -o is told before any work, not after
+    target = resolve_target(path)  # a slip of -o is told before any work, not after
     # So is a slip in a light. Only a sun that leaves its place to the model has to wait.
     parse_lights([spec for spec in lights if not leaves_out_place(spec)])
-    timer = _StageTimer(on_stage)
-    timer.start("load")
-    source = read([fspath(p) for p in inputs], options=config.reading)
-    parsed = parse_lights(lights, _site(source)) if lights else []
-    prepared = prepare(source, config, timer.start, parsed, costs)
-    timer.start("write")
-    summary = write_cache(prepared, path)
-    return BuildResult(cache=summary, prepared=prepared, seconds=timer.stop())
-
-
-def _site(source: SourceMesh) -> Site:
-    """Return where the model stands, as its cache will say it."""
-    x_m, y_m, _ = choose_grid(source).origin_m.tolist()
-    return Site.of(source.place, x_m, y_m)
+    clock = StageClock(on_stage)
+    with room_for(memory_bytes) as room:
+        clock.start("load")
+        use_older = not is_full and room is None
+        plan = read_and_compare(inputs, config, target if use_older else None, room)
+        parsed = parse_lights(lights, plan.site) if lights else []
+        parts = prepare_tiles(plan, clock)
+        clock.start("scene tree")
+        scene = parts.scene_tree()
+        clock.start("clamp")
+        clamp = parts.clamp(scene, list(distinct(parsed, plan.grid).values()), costs)
+        clock.start("write")
+        summary = write_contents(
+            parts.contents(scene, clamp), parts.attributes(config.as_json()), path
+        )
+        clock.wrote(summary.n_bytes)
+    return BuildResult(
+        cache=summary,
+        stages=clock.stop(plan.n_triangles),
+        reused=plan.n_reused,
+        remarks=plan.remarks,
+    )
 
 
 def prepare(
@@ -144,72 +167,40 @@ def prepare(
     lights: Sequence[Light] = (),
     costs: ClampCosts | None = None,
 ) -> Prepared:
-    """Return the whole prepared city: every table that a cache holds.
+    """Return the whole prepared city, in memory: every table that a cache holds.
 
-    The order is forced. Welding comes first, because faces meet only where
-    they share vertices. Repair needs them to meet, and decides winding before
-    it splits edges, since pairs are pairs of faces that wind alike. Planes
-    spread over pairs. The edge table marks edges within a plane, which the
-    silhouette trees leave out; so they come after it. Clamping needs the tree of
-    receivers, and components for casters.
+    What `build` makes tile by tile, this makes at once. The order of the first five stages
+    is that of `svprep.tiles.prepare_objects`. Clamping needs the tree of receivers, and
+    components for casters.
     """
     stage = on_stage or (lambda name: None)
-    stage("weld")
-    welded, weld_report = weld(source, config.weld_tolerance_m)
-    if len(welded.faces) == 0:
-        blame = "the model's units and coordinates"
-        if config.weld_tolerance_m > 0.0:
-            blame = f"--weld-tolerance ({config.weld_tolerance_m:g} m) first, then {blame}"
-        raise InputError(
-            f"{source.sources[0].path}: none of its {len(source.faces)} faces has any area "
-            f"on a grid of {welded.grid.step_m:g} m, so nothing can cast a shadow. Check {blame}."
-        )
-    stage("repair")
-    repaired, repair_report = repair(welded)
-    stage("planes")
-    planes = build_planes(repaired)
-    stage("edges")
-    edges, components = build_edges(repaired, planes)
-    stage("silhouettes")
-    index = build_index(repaired.mesh, components, planes, edges)
+    grid = choose_grid(source)
+    tile = Tile(source, source_digests(source), grid, config.weld_tolerance_m)
+    tables = prepare_objects(tile, stage)
+    mesh = tables.mesh
+    if not len(mesh.faces):
+        raise no_area(source, grid, config.weld_tolerance_m)
     stage("scene tree")
-    scene = build_scene_tree(repaired.mesh)
+    scene = build_scene_tree(mesh)
     stage("clamp")
-    once = list(distinct(lights, repaired.mesh.grid).values())
-    clamp = clamp_lights(repaired.mesh, components, scene, once, costs)
+    once = list(distinct(lights, mesh.grid).values())
+    clamp = clamp_lights(mesh, tables.components, scene, once, costs)
     return Prepared(
         sources=source.sources,
         object_names=source.object_names,
         object_source=source.object_source,
-        labels=_labels(source, repaired.mesh),
+        labels=labels_of(source, mesh.object_face_start, mesh.source_face),
         place=source.place,
-        mesh=repaired.mesh,
-        components=components,
-        planes=planes,
-        edges=edges,
-        index=index,
+        mesh=mesh,
+        components=tables.components,
+        planes=tables.planes,
+        edges=tables.edges,
+        index=tables.index,
         scene=scene,
         clamp=clamp,
-        repair=record(source, weld_report, repair_report),
+        repair=tables.repair,
         config=config.as_json(),
-        notes=(*source.notes, *notes_on_step(repaired.mesh)),
-    )
-
-
-def _labels(source: SourceMesh, mesh: Mesh) -> Labels:
-    """Return what the sources say of objects, and of the faces that are left."""
-    labels = Labels.none(len(source.object_names), len(mesh.faces))
-    surface = labels.surface_of_face
-    if len(source.surface_of_polygon):
-        source_of_face = np.repeat(source.object_source, np.diff(mesh.object_face_start))
-        is_stated = np.diff(source.polygon_start)[source_of_face] > 0
-        first = source.polygon_start[source_of_face[is_stated]]
-        surface[is_stated] = source.surface_of_polygon[first + mesh.source_face[is_stated]]
-    return Labels(
-        object_types=source.object_types or labels.object_types,
-        object_parents=source.object_parents or labels.object_parents,
-        surface_names=source.surface_names,
-        surface_of_face=surface,
+        notes=(*source.notes, *notes_on_step(mesh)),
     )
 
 
@@ -316,22 +307,3 @@ def default_cache_path(inputs: Sequence[str | PathLike[str]]) -> Path:
     if len(inputs) != 1:
         raise InputError(f"{len(inputs)} inputs make one cache: name it with -o CACHE")
     return Path(stem_of(inputs[0]) + CACHE_SUFFIX)
-
-
-class _StageTimer:
-    """Wall time between one stage's start and the next."""
-
-    def __init__(self, on_stage: StageHook | None) -> None:
-        self._tell = on_stage or (lambda name: None)
-        self._starts: list[tuple[str, float]] = []
-
-    def start(self, name: str) -> None:
-        self._starts.append((name, time.perf_counter()))
-        self._tell(name)
-
-    def stop(self) -> dict[str, float]:
-        starts = [*self._starts, ("", time.perf_counter())]
-        return {
-            name: following[1] - begun
-            for (name, begun), following in zip(self._starts, starts[1:], strict=True)
-        }

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from svprep.defects import DEFECTS, Code
+from svprep.defects import DEFECTS, LEFT_OUT, Code
 from svprep.model import (
     I64,
     NO_INDEX,
@@ -66,12 +66,7 @@ def extent_m(mesh: Mesh) -> list[float]:
 
 def left_out_faces(prepared: Prepared) -> I64:
     """Return the rows of `face_findings` that tell of a face that is not in the mesh."""
-    dropped = (
-        Code.DEGENERATE_FACE,
-        Code.COLLAPSED_FACE,
-        Code.DUPLICATE_FACE,
-        Code.SHORT_POLYGON,
-    )
+    dropped = (*LEFT_OUT, Code.SHORT_POLYGON)
     return np.flatnonzero(np.isin(prepared.repair.face_findings.code, dropped))
 
 

@@ -7,7 +7,7 @@ it; what cannot be stored exactly is our own bug, never rounded or dropped.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from svprep import __version__
 from svprep.cache.schema import MAGIC, SCHEMA_VERSION
+from svprep.cache.stage_code import stage_code
 from svprep.defects import DEFECTS
 from svprep.errors import InternalError, first_few
 from svprep.model import (
@@ -32,6 +33,7 @@ from svprep.model import (
     Grid,
     Labels,
     Mesh,
+    ObjectTables,
     Place,
     PlaneTable,
     Prepared,
@@ -58,53 +60,80 @@ def encode_datasets(prepared: Prepared) -> dict[str, Raw]:
     InternalError
         A table breaks the contract of `svprep.model`.
     """
-    mesh, parts, edges = prepared.mesh, prepared.components, prepared.edges
-    findings = prepared.repair.face_findings
+    return {
+        **object_datasets(
+            ObjectTables(
+                mesh=prepared.mesh,
+                components=prepared.components,
+                planes=prepared.planes,
+                edges=prepared.edges,
+                index=prepared.index,
+                repair=prepared.repair,
+            )
+        ),
+        **label_datasets(prepared.object_names, prepared.object_source, prepared.labels),
+        **scene_datasets(prepared.scene),
+        **clamp_datasets(prepared.clamp),
+    }
+
+
+def object_datasets(tables: ObjectTables) -> dict[str, Raw]:
+    """Return the stored arrays of what depends on single objects alone.
+
+    Raises
+    ------
+    InternalError
+        A table breaks the contract of `svprep.model`.
+    """
+    mesh, parts, edges, repair = tables.mesh, tables.components, tables.edges, tables.repair
+    findings = repair.face_findings
     corners = _as("mesh.faces", mesh.faces, "<u4", (-1, 3)).reshape(-1)
     positions = _as("mesh.positions", mesh.positions, "<f4", (-1, 3))
     if not np.isfinite(positions).all():
         raise InternalError("mesh.positions are not all finite")
     if len(corners) and int(corners.max()) >= len(positions):
         raise InternalError("mesh.faces refers to vertices that do not exist")
-    labels = prepared.labels
-    name_bytes, name_start = _text_table(prepared.object_names)
-    parent_bytes, parent_start = _text_table(labels.object_parents)
-    count_object, count_code, count = _sparse_counts(prepared.repair.defect_counts)
+    count_object, count_code, count = _sparse_counts(repair.defect_counts)
     return {
         "mesh/positions": positions,
         "mesh/face_corners": corners,
         "mesh/source_face": _as("mesh.source_face", mesh.source_face, "<u4", (-1,)),
-        "mesh/surface": _as("surface_of_face", labels.surface_of_face, "|u1", (-1,)),
         "objects/vertex_start": _offsets("object_vertex_start", mesh.object_vertex_start),
         "objects/face_start": _offsets("object_face_start", mesh.object_face_start),
         "objects/component_start": _offsets("components.object_start", parts.object_start),
-        "objects/source": _as("object_source", prepared.object_source, "<u4", (-1,)),
+        "components/face_start": _offsets("components.face_start", parts.face_start),
+        "components/edge_start": _offsets("components.edge_start", parts.edge_start),
+        "components/flags": _as("components.flags", parts.flags, "|u1", (-1,)),
+        "planes/face": face_of_plane(tables.planes, mesh),
+        "planes/d": np.ascontiguousarray(tables.planes.planes[:, 3], "<f8"),
+        "planes/plane_of_face": _as("plane_of_face", tables.planes.plane_of_face, "<u4", (-1,)),
+        "edges/half_edges": half_edges_of_rows(corners, _as("rows", edges.rows, "<u4", (-1, 4))),
+        "edges/flags": _as("edges.flags", edges.flags, "|u1", (-1,)),
+        **_index_datasets(tables.index),
+        "repair/count_object": count_object,
+        "repair/count_code": count_code,
+        "repair/count": count,
+        "repair/source_triangles": _as("source_triangles", repair.source_triangles, "<u4", (-1,)),
+        "repair/source_digest": _as("source_digest", repair.source_digest, "<u8", (-1, 2)),
+        "repair/finding_code": _as("finding code", findings.code, "<u2", (-1,)),
+        "repair/finding_object": _as("finding object", findings.object_index, "<u4", (-1,)),
+        "repair/finding_source_face": _as("finding face", findings.source_face, "<u4", (-1,)),
+        "repair/flipped_faces": _as("flipped_faces", repair.flipped_faces, "<u4", (-1,)),
+    }
+
+
+def label_datasets(names: Sequence[str], source: U32, labels: Labels) -> dict[str, Raw]:
+    """Return the stored arrays of what the sources say of objects and faces."""
+    name_bytes, name_start = _text_table(names)
+    parent_bytes, parent_start = _text_table(labels.object_parents)
+    return {
+        "mesh/surface": _as("surface_of_face", labels.surface_of_face, "|u1", (-1,)),
+        "objects/source": _as("object_source", source, "<u4", (-1,)),
         "objects/name_start": _offsets("object name", name_start),
         "objects/name_bytes": name_bytes,
         "objects/type": _types(labels),
         "objects/parent_start": _offsets("object parent", parent_start),
         "objects/parent_bytes": parent_bytes,
-        "components/face_start": _offsets("components.face_start", parts.face_start),
-        "components/edge_start": _offsets("components.edge_start", parts.edge_start),
-        "components/flags": _as("components.flags", parts.flags, "|u1", (-1,)),
-        "planes/face": face_of_plane(prepared.planes, mesh),
-        "planes/d": np.ascontiguousarray(prepared.planes.planes[:, 3], "<f8"),
-        "planes/plane_of_face": _as("plane_of_face", prepared.planes.plane_of_face, "<u4", (-1,)),
-        "edges/half_edges": half_edges_of_rows(corners, _as("rows", edges.rows, "<u4", (-1, 4))),
-        "edges/flags": _as("edges.flags", edges.flags, "|u1", (-1,)),
-        **_index_datasets(prepared.index),
-        **_scene_datasets(prepared.scene),
-        **clamp_datasets(prepared.clamp),
-        "repair/count_object": count_object,
-        "repair/count_code": count_code,
-        "repair/count": count,
-        "repair/source_triangles": _as(
-            "source_triangles", prepared.repair.source_triangles, "<u4", (-1,)
-        ),
-        "repair/finding_code": _as("finding code", findings.code, "<u2", (-1,)),
-        "repair/finding_object": _as("finding object", findings.object_index, "<u4", (-1,)),
-        "repair/finding_source_face": _as("finding face", findings.source_face, "<u4", (-1,)),
-        "repair/flipped_faces": _as("flipped_faces", prepared.repair.flipped_faces, "<u4", (-1,)),
     }
 
 
@@ -121,7 +150,8 @@ def _index_datasets(index: SilhouetteIndex) -> dict[str, Raw]:
     return arrays
 
 
-def _scene_datasets(scene: SceneTree) -> dict[str, Raw]:
+def scene_datasets(scene: SceneTree) -> dict[str, Raw]:
+    """Return the stored arrays of the scene trees."""
     return {
         "scene/object": _as("scene.objects", scene.objects, "<u4", (-1,)),
         "scene/object_boxes": _as("scene.object_boxes", scene.object_boxes, "<f4", (-1, 6)),
@@ -150,28 +180,50 @@ def clamp_datasets(clamp: ClampTable) -> dict[str, Raw]:
 
 def encode_attributes(prepared: Prepared) -> dict[str, bytes | Raw]:
     """Return every root attribute but the two digests: texts as UTF-8, numbers as arrays."""
-    grid = prepared.mesh.grid
-    sources = [
+    return city_attributes(
+        sources=prepared.sources,
+        labels=prepared.labels,
+        place=prepared.place,
+        grid=prepared.mesh.grid,
+        planar_tolerance_m=prepared.planes.tolerance_m,
+        config=prepared.config,
+        notes=prepared.notes,
+    )
+
+
+def city_attributes(
+    *,
+    sources: Sequence[SourceFile],
+    labels: Labels,
+    place: Place,
+    grid: Grid,
+    planar_tolerance_m: float,
+    config: Mapping[str, object],
+    notes: Sequence[str],
+) -> dict[str, bytes | Raw]:
+    """Return every root attribute but the two digests, of what a city is made from."""
+    described = [
         {"format": s.format, "n_bytes": s.n_bytes, "sha256": s.sha256, "crs": s.crs}
-        for s in prepared.sources
+        for s in sources
     ]
-    place = asdict(prepared.place)
-    crs = place.pop("crs")
+    where = asdict(place)
+    crs = where.pop("crs")
     return {
         "magic": MAGIC.encode(),
         "schema_version": np.asarray(SCHEMA_VERSION, "<u4"),
         "producer_version": __version__.encode(),
-        "source_paths": _json("source paths", [s.path for s in prepared.sources]),
-        "sources": _json("sources", sources),
-        "object_types": _json("object types", _type_names(prepared.labels)),
-        "surface_names": _json("surface names", list(prepared.labels.surface_names)),
-        "config": _json("config", prepared.config),
-        "notes": _json("notes", list(prepared.notes)),
+        "tables_by": stage_code().encode(),
+        "source_paths": _json("source paths", [s.path for s in sources]),
+        "sources": _json("sources", described),
+        "object_types": _json("object types", _type_names(labels)),
+        "surface_names": _json("surface names", list(labels.surface_names)),
+        "config": _json("config", config),
+        "notes": _json("notes", list(notes)),
         "grid_step_m": np.asarray(grid.step_m, "<f8"),
         "grid_origin_m": np.asarray(grid.origin_m, "<f8"),
-        "planar_tolerance_m": np.asarray(prepared.planes.tolerance_m, "<f8"),
+        "planar_tolerance_m": np.asarray(planar_tolerance_m, "<f8"),
         "crs": crs.encode(),
-        "place": _json("place", {k: v for k, v in place.items() if v is not None}),
+        "place": _json("place", {k: v for k, v in where.items() if v is not None}),
     }
 
 
@@ -208,6 +260,10 @@ def _offsets(what: str, offsets: I64) -> Raw:
 
 def _text_table(texts: Sequence[str]) -> tuple[Raw, I64]:
     """Return texts as bytes end to end, and where each starts."""
+    together = "".join(texts)
+    if together.isascii():
+        lengths = np.fromiter(map(len, texts), np.int64, len(texts))
+        return np.frombuffer(together.encode(), np.uint8), np.append(0, np.cumsum(lengths))
     encoded = [_name_bytes(text) for text in texts]
     start = np.concatenate(([0], np.cumsum([len(text) for text in encoded], dtype=np.int64)))
     return np.frombuffer(b"".join(encoded), np.uint8), start
@@ -468,6 +524,7 @@ def decode_repair(fetch: Fetch, n_objects: int) -> RepairRecord:
     return RepairRecord(
         defect_counts=frozen(dense),
         source_triangles=_native(fetch("repair/source_triangles"), np.uint32),
+        source_digest=_native(fetch("repair/source_digest"), np.uint64),
         face_findings=FaceFindings(
             code=_native(fetch("repair/finding_code"), np.uint16),
             object_index=_native(fetch("repair/finding_object"), np.uint32),

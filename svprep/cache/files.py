@@ -270,14 +270,18 @@ class Temporary:
     def write(self, buffer: memoryview) -> int:
         """Take every byte; a failure is kept for `check`."""
         view = memoryview(buffer).cast("B")
-        done = 0
-        try:
-            while done < len(view) and self._error is None:
-                done += os.pwrite(self._fd, view[done:], self._at + done)
-        except BaseException as error:  # KeyboardInterrupt, too: raised by `check`
-            self._error = error
+        self.write_at(self._at, view)
         self._at += len(view)
         return len(view)
+
+    def write_at(self, offset: int, buffer: memoryview) -> None:
+        """Write every byte at `offset`; a failure is kept for `check`. Threads may call this."""
+        done = 0
+        try:
+            while done < len(buffer) and self._error is None:
+                done += os.pwrite(self._fd, buffer[done:], offset + done)
+        except BaseException as error:  # KeyboardInterrupt, too: raised by `check`
+            self._error = error
 
     def truncate(self, size: int | None = None) -> int:
         """Set the size; a failure is kept for `check`."""

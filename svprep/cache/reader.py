@@ -148,6 +148,11 @@ class Cache:
         return self._text("producer_version")
 
     @cached_property
+    def tables_by(self) -> str:
+        """SHA-256 of the code that made the tables of objects."""
+        return self._text("tables_by")
+
+    @cached_property
     def content_digest(self) -> str:
         """Equal for two builds from the same sources and configuration."""
         return self._text("content_digest")

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC: Final = "svprep-cache"
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 
 LIBVER: Final = ("v108", "v108")
 """HDF5 format bounds. Version 1.8 (2008) is the first that checksums its own
@@ -523,6 +523,14 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         "Triangles of each object before anything was dropped.",
     ),
     DatasetSpec(
+        "repair/source_digest",
+        "<u8",
+        (O, 2),
+        "",
+        "128 bits of each object's triangles as the sources give them: a later build takes over "
+        "the tables of objects whose bits are the same.",
+    ),
+    DatasetSpec(
         "repair/finding_code",
         "<u2",
         (Dim("n_findings"),),
@@ -561,6 +569,15 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
     AttributeSpec("schema_version", "<u4", (), "", f"{SCHEMA_VERSION}. Refuse any other."),
     AttributeSpec(
         "producer_version", "utf8", (), "", "The svprep that wrote the file.", in_content=False
+    ),
+    AttributeSpec(
+        "tables_by",
+        "utf8",
+        (),
+        "",
+        "SHA-256 of the code that made the tables of objects: a later build takes tables over "
+        "if they are its own.",
+        in_content=False,
     ),
     AttributeSpec(
         "source_paths",
@@ -618,8 +635,8 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
         "utf8",
         (),
         "",
-        "SHA-256 over everything but the producer version and the source paths: what two builds "
-        "compare. Adding lights changes it.",
+        "SHA-256 over everything but the producer version, its code and the source paths: what two "
+        "builds compare. Adding lights changes it.",
         in_content=False,
     ),
     AttributeSpec(
@@ -627,7 +644,7 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
         "utf8",
         (),
         "",
-        "SHA-256 over the content digest, the producer version and the source paths.",
+        "SHA-256 over the content digest, the producer version, its code and the source paths.",
         in_content=False,
     ),
 )
@@ -671,18 +688,33 @@ SPEC_OF_PATH: Final = {spec.path: spec for spec in DATASETS}
 ATTRIBUTE_OF_NAME: Final = {spec.name: spec for spec in ATTRIBUTES}
 
 
-def item_digest(name: str, dtype: str, value: NDArray[np.generic] | bytes) -> str:
-    """Return the SHA-256 of one dataset or attribute, in hex.
+class ItemDigest:
+    """The SHA-256 of one dataset or attribute, of blocks that come one after the other.
 
-    Hashed are ``name``, ``dtype`` and the shape's lengths joined by commas, a
-    line each, then the raw little-endian bytes. Releases the GIL.
+    Hashed are its name, its dtype and the shape's lengths joined by commas, a line each,
+    then the raw little-endian bytes.
     """
-    shape = (len(value),) if isinstance(value, bytes) else value.shape
-    digest = hashlib.sha256(f"{name}\n{dtype}\n{','.join(map(str, shape))}\n".encode())
-    if isinstance(value, bytes):
-        digest.update(value)
-    elif value.size:
-        digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+
+    def __init__(self, name: str, dtype: str, shape: Sequence[int]) -> None:
+        lengths = ",".join(map(str, shape))
+        self._sha256 = hashlib.sha256(f"{name}\n{dtype}\n{lengths}\n".encode())
+
+    def update(self, value: NDArray[np.generic] | bytes) -> None:
+        """Take the next bytes. Releases the GIL."""
+        if isinstance(value, bytes):
+            self._sha256.update(value)
+        elif value.size:
+            self._sha256.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+
+    def hexdigest(self) -> str:
+        """Return the digest of all that was taken."""
+        return self._sha256.hexdigest()
+
+
+def item_digest(name: str, dtype: str, value: NDArray[np.generic] | bytes) -> str:
+    """Return the `ItemDigest` of a value that is all there."""
+    digest = ItemDigest(name, dtype, (len(value),) if isinstance(value, bytes) else value.shape)
+    digest.update(value)
     return digest.hexdigest()
 
 
@@ -708,7 +740,7 @@ def content_digest(
 
 
 def root_digest(content: str, attributes: Mapping[str, bytes | NDArray[np.generic]]) -> str:
-    """Return the digest over the content digest, the producer version and the source paths."""
-    names = ("producer_version", "source_paths")
+    """Return the digest over the content digest and what that leaves out."""
+    names = ("producer_version", "tables_by", "source_paths")
     lines = [(n, attribute_digest(ATTRIBUTE_OF_NAME[n], attributes[n])) for n in names]
     return _lines_digest([("content_digest", content), *lines])

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.cache.checks import Problem
+from svprep.cache.contents import Contents
 
 GROUP: Final = "VTKHDF"
 VERSION: Final = (2, 0)
@@ -67,24 +68,21 @@ VTK_ITEMS: Final[tuple[VtkItem, ...]] = (
     VtkItem("CellData/source_face", "<u4", "(n_faces,)", "Source polygon.", "mesh/source_face"),
     VtkItem("FieldData/grid_origin_m", "<f8", "(3,)", "Source position = this + point."),
 )
-NEEDS: Final = (
-    "mesh/positions",
-    "mesh/face_corners",
-    "objects/face_start",
-    "components/face_start",
-)
-"""Datasets that the rest is computed from."""
+NEEDS: Final = ("objects/face_start", "components/face_start")
+"""Datasets that the rest is computed from, beside the lengths of two more."""
+_COUNTED: Final = ("mesh/positions", "mesh/face_corners")
 
 
-def derived(arrays: Mapping[str, Raw], origin_m: Raw) -> dict[str, Raw]:
+def derived(
+    n_points: int, n_corners: int, starts: Mapping[str, Raw], origin_m: Raw
+) -> dict[str, Raw]:
     """Return the arrays that `GROUP` holds besides links, by path. O(n_faces).
 
     Without those whose offsets do not fit the faces.
     """
-    n_corners = len(arrays["mesh/face_corners"])
     n_faces = n_corners // 3
     one = {
-        "NumberOfPoints": len(arrays["mesh/positions"]),
+        "NumberOfPoints": n_points,
         "Polygons/NumberOfConnectivityIds": n_corners,
         "Polygons/NumberOfCells": n_faces,
         "Vertices/NumberOfConnectivityIds": 0,
@@ -95,7 +93,7 @@ def derived(arrays: Mapping[str, Raw], origin_m: Raw) -> dict[str, Raw]:
     own["Vertices/Offsets"] = np.zeros(1, "<i4")
     own["Vertices/Connectivity"] = np.zeros(0, "<i4")
     for name in ("object", "component"):
-        start = arrays[f"{name}s/face_start"].astype(np.int64)
+        start = starts[f"{name}s/face_start"].astype(np.int64)
         size = np.diff(start)
         if start[0] == 0 and start[-1] == n_faces and (size >= 0).all():
             own[f"CellData/{name}"] = np.repeat(np.arange(len(size), dtype="<i4"), size)
@@ -103,12 +101,14 @@ def derived(arrays: Mapping[str, Raw], origin_m: Raw) -> dict[str, Raw]:
     return own
 
 
-def write_vtk(file: h5py.File, arrays: Mapping[str, Raw], origin_m: Raw) -> None:
+def write_vtk(file: h5py.File, contents: Contents, origin_m: Raw) -> None:
     """Write the group into a file that holds all datasets. About 10 ms per million faces."""
     group = file.create_group(GROUP)
     group.attrs.create("Version", np.array(VERSION, "<i8"))
     group.attrs.create("Type", np.array(TYPE), dtype=h5py.string_dtype("ascii", len(TYPE)))
-    own = derived(arrays, origin_m)
+    starts = {path: contents.whole(path) for path in NEEDS}
+    sizes = contents.shape("mesh/positions")[0], contents.shape("mesh/face_corners")[0]
+    own = derived(*sizes, starts, origin_m)
     for item in VTK_ITEMS:
         if item.link:
             group[item.path] = file[item.link]
@@ -152,8 +152,11 @@ def check_vtk(
     if said != [list(VERSION), TYPE] or len(group.attrs) != 2:
         yield Problem("V106", GROUP, f"expected Type {TYPE.decode()} of version {VERSION}")
     yield from _unknown(group)
-    has_all = origin_m is not None and all(path in arrays for path in NEEDS)
-    own = derived(arrays, origin_m) if has_all and origin_m is not None else {}
+    has_all = all(path in arrays for path in (*NEEDS, *_COUNTED))
+    own = {}
+    if has_all and origin_m is not None:
+        n_points, n_corners = (len(arrays[path]) for path in _COUNTED)
+        own = derived(n_points, n_corners, arrays, origin_m)
     for item in VTK_ITEMS:
         where = f"{GROUP}/{item.path}"
         if not _is_inside(file, where):

@@ -4,15 +4,17 @@
          -> rename over the old cache -> sync the folder
 
 Until the rename the older cache is untouched; after it the new one is whole.
-Readers that have the old file open keep it. The SHA-256 digests are computed by
-other threads while HDF5 writes.
+Readers that have the old file open keep it. HDF5 lays the file out; the datasets' bytes are
+written and digested by other threads.
 """
 
 from __future__ import annotations
 
+import math
 import os
+from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,6 +24,7 @@ import numpy as np
 
 from svprep import __version__
 from svprep.cache.codec import Raw, encode_attributes, encode_datasets
+from svprep.cache.contents import Block, Contents, InMemory
 from svprep.cache.files import (
     Temporary,
     exclusive_lock,
@@ -38,8 +41,8 @@ from svprep.cache.schema import (
     DIGESTS_PATH,
     LIBVER,
     DatasetSpec,
+    ItemDigest,
     content_digest,
-    item_digest,
     root_digest,
     shape_problem,
 )
@@ -51,8 +54,8 @@ WRITE_POINTS: Final[tuple[str, ...]] = (
     "locked",
     "temp_created",
     *(f"dataset:{spec.path}" for spec in DATASETS),
-    f"dataset:{DIGESTS_PATH}",
     "vtkhdf",
+    f"dataset:{DIGESTS_PATH}",
     "attributes",
     "flushed",
     "synced",
@@ -61,8 +64,10 @@ WRITE_POINTS: Final[tuple[str, ...]] = (
 )
 """What `checkpoint` is called with, in this order."""
 
-HASH_THREADS: Final = 4
-"""SHA-256 runs at about 1.7 GB/s per core; the two largest datasets bound the time."""
+WRITE_THREADS: Final = 4
+"""SHA-256 runs at about 1.7 GB/s per core, and a core writes some 0.5 GB/s."""
+MOST_PENDING_BYTES: Final = 1 << 27
+"""Of blocks that are written and wait for their digest."""
 
 Checkpoint = Callable[[str], None]
 
@@ -110,12 +115,32 @@ def write_cache(
     InternalError
         A table breaks its contract.
     """
-    return _replace(
-        path,
-        lambda target: (encode_datasets(prepared), encode_attributes(prepared)),
-        lock_wait_s,
-        checkpoint,
+    datasets, attributes = encode_datasets(prepared), encode_attributes(prepared)
+    return write_contents(
+        InMemory(datasets), attributes, path, lock_wait_s=lock_wait_s, checkpoint=checkpoint
     )
+
+
+def write_contents(
+    contents: Contents,
+    attributes: Mapping[str, bytes | Raw],
+    path: str | os.PathLike[str],
+    *,
+    lock_wait_s: float = 0.0,
+    checkpoint: Checkpoint | None = None,
+) -> CacheSummary:
+    """Write stored arrays to the cache file `path`, as `write_cache` does.
+
+    Parameters
+    ----------
+    contents : Contents
+        No more of it is held than `MOST_PENDING_BYTES` and a block.
+    attributes : mapping
+        Every root attribute but the two digests, as `codec.city_attributes` returns them.
+    path, lock_wait_s, checkpoint
+        As for `write_cache`, which names the errors.
+    """
+    return _replace(path, lambda target: (contents, attributes), lock_wait_s, checkpoint)
 
 
 def rewrite_cache(
@@ -143,21 +168,22 @@ def rewrite_cache(
     """
     open_cache(path).close()  # told before the lock is taken
 
-    def contents(target: Path) -> tuple[dict[str, Raw], dict[str, bytes | Raw]]:
+    def contents(target: Path) -> tuple[Contents, dict[str, bytes | Raw]]:
         with open_cache(target) as cache:
             changed = change(cache)
             datasets = {
                 spec.path: changed[spec.path] if spec.path in changed else cache.raw(spec.path)
                 for spec in DATASETS
             }
-            return datasets, {**cache.attributes(), "producer_version": __version__.encode()}
+            version = {"producer_version": __version__.encode()}
+            return InMemory(datasets), {**cache.attributes(), **version}
 
     return _replace(path, contents, lock_wait_s, checkpoint)
 
 
 def _replace(
     path: str | os.PathLike[str],
-    contents: Callable[[Path], tuple[dict[str, Raw], dict[str, bytes | Raw]]],
+    contents: Callable[[Path], tuple[Contents, Mapping[str, bytes | Raw]]],
     lock_wait_s: float,
     checkpoint: Checkpoint | None,
 ) -> CacheSummary:
@@ -169,6 +195,7 @@ def _replace(
             remove_leftovers(target)
             at("locked")
             datasets, attributes = contents(target)
+            sizes = _checked_sizes(datasets, attributes)
             with Temporary(target) as temporary:
                 at("temp_created")
                 content = _write_hdf5(temporary, datasets, attributes, at)
@@ -187,37 +214,35 @@ def _replace(
                 "A power failure now may bring the older cache back; build again"
             ) from error
         at("folder_synced")
-    sizes = {name: array.nbytes for name, array in datasets.items()}
     return CacheSummary(target, n_bytes, content, sizes)
 
 
 def _write_hdf5(
     temporary: Temporary,
-    datasets: Mapping[str, Raw],
+    contents: Contents,
     attributes: Mapping[str, bytes | Raw],
     at: Checkpoint,
 ) -> str:
     """Write the file's content through `temporary`; return the content digest."""
-    datasets = {spec.path: _as_stored(spec, datasets[spec.path]) for spec in DATASETS}
-    _check_shapes(datasets, attributes)
-    with ThreadPoolExecutor(HASH_THREADS) as pool, h5py.File(temporary, "w", libver=LIBVER) as file:
-        digest_of: dict[str, Future[str]] = {
-            spec.path: pool.submit(item_digest, spec.path, spec.dtype, datasets[spec.path])
-            for spec in sorted(DATASETS, key=lambda s: -datasets[s.path].nbytes)
-        }
+    with (
+        ThreadPoolExecutor(WRITE_THREADS) as pool,
+        h5py.File(temporary, "w", libver=LIBVER) as file,
+    ):
+        written = _Rows(temporary, pool)
         for spec in DATASETS:
-            _create(file, spec.path, datasets[spec.path])
+            _write_dataset(file, spec, contents, written)
             temporary.check()
             at(f"dataset:{spec.path}")
-        table = [(spec.path, digest_of[spec.path].result()) for spec in DATASETS]
+        origin = attributes["grid_origin_m"]
+        assert not isinstance(origin, bytes)
+        write_vtk(file, contents, origin)  # while rows are still being written
+        temporary.check()
+        at("vtkhdf")
+        table = written.table()
+        temporary.check()
         rows = [(name.encode(), digest.encode()) for name, digest in table]
         _create(file, DIGESTS_PATH, np.array(rows, DIGESTS_DTYPE))
         at(f"dataset:{DIGESTS_PATH}")
-        origin = attributes["grid_origin_m"]
-        assert not isinstance(origin, bytes)
-        write_vtk(file, datasets, origin)
-        temporary.check()
-        at("vtkhdf")
         content = content_digest(attributes, table)
         root = root_digest(content, attributes)
         digests = {"content_digest": content.encode(), "root_digest": root.encode()}
@@ -228,9 +253,90 @@ def _write_hdf5(
     return content
 
 
+class _Rows:
+    """Rows of datasets on their way to the file and into digests, on other threads.
+
+    HDF5 writes on one thread. So it is only asked where a dataset lies, and the bytes are
+    written there.
+    """
+
+    def __init__(self, temporary: Temporary, pool: Executor) -> None:
+        self._temporary = temporary
+        self._pool = pool
+        self._digests: dict[str, tuple[ItemDigest, Future[None] | None]] = {}
+        self._pending: deque[tuple[int, Future[None]]] = deque()
+        self._n_bytes = 0
+
+    def begin(self, spec: DatasetSpec, shape: tuple[int, ...]) -> None:
+        """Begin a dataset."""
+        self._digests[spec.path] = ItemDigest(spec.path, spec.dtype, shape), None
+
+    def add(self, spec: DatasetSpec, offset: int, block: Block) -> None:
+        """Take the next rows of a dataset, once there is room for them."""
+        digest, before = self._digests[spec.path]
+
+        def take() -> None:
+            rows = _as_stored(spec, block.make())
+            if len(rows) != block.n_rows:
+                raise InternalError(f"{spec.path}: {len(rows)} rows, not {block.n_rows}")
+            if rows.size:
+                self._temporary.write_at(offset, rows.reshape(-1).view(np.uint8).data)
+            if before is not None:  # begun earlier, so it does not wait for this one
+                before.result()
+            digest.update(rows)
+            block.let_go()
+
+        while self._pending and self._n_bytes + block.n_bytes > MOST_PENDING_BYTES:
+            n_bytes, oldest = self._pending.popleft()
+            oldest.result()
+            self._n_bytes -= n_bytes
+        future = self._pool.submit(take)
+        self._pending.append((block.n_bytes, future))
+        self._n_bytes += block.n_bytes
+        self._digests[spec.path] = digest, future
+
+    def table(self) -> list[tuple[str, str]]:
+        """Return each dataset and its digest, in the order in which they were begun."""
+        for _, future in self._pending:
+            future.result()
+        return [(path, digest.hexdigest()) for path, (digest, _) in self._digests.items()]
+
+
+def _write_dataset(file: h5py.File, spec: DatasetSpec, contents: Contents, rows: _Rows) -> None:
+    """Write one dataset, block by block."""
+    shape = contents.shape(spec.path)
+    rows.begin(spec, shape)
+    offset = _room_in(file, spec, shape)
+    row_bytes = math.prod(shape[1:]) * np.dtype(spec.dtype).itemsize
+    row = 0
+    for block in contents.blocks(spec.path):
+        rows.add(spec, offset + row * row_bytes, block)
+        row += block.n_rows
+    if row != shape[0]:
+        raise InternalError(f"{spec.path}: {row} rows were written, not {shape[0]}")
+
+
+def _room_in(file: h5py.File, spec: DatasetSpec, shape: tuple[int, ...]) -> int:
+    """Declare a dataset, and return where in the file its bytes lie; 0 if it has none."""
+    plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plan.set_layout(h5py.h5d.CONTIGUOUS)
+    plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    plan.set_obj_track_times(False)
+    links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    links.set_create_intermediate_group(True)
+    kind = h5py.h5t.py_create(np.dtype(spec.dtype))
+    space = h5py.h5s.create_simple(shape)
+    made = h5py.h5d.create(file.id, spec.path.encode(), kind, space, plan, links)
+    return int(made.get_offset() or 0)
+
+
 def _as_stored(spec: DatasetSpec, array: Raw) -> Raw:
     """Return `array` as it is stored, the same bytes: signed where the schema says so."""
-    if spec.in_memory == spec.dtype or array.dtype != np.dtype(spec.in_memory):
+    if array.dtype != np.dtype(spec.in_memory):
+        raise InternalError(f"{spec.path}: expected {spec.in_memory}, got {array.dtype.str}")
+    array = np.ascontiguousarray(array)
+    if spec.in_memory == spec.dtype:
         return array
     if array.size and int(array.max()) >= 1 << 31:
         raise InternalError(f"{spec.path}: an index of 2**31 or more cannot be stored")
@@ -252,13 +358,22 @@ def _write_attributes(file: h5py.File, values: Mapping[str, bytes | Raw]) -> Non
             file.attrs.create(spec.name, value, dtype=spec.dtype)
 
 
-def _check_shapes(datasets: Mapping[str, Raw], attributes: Mapping[str, bytes | Raw]) -> None:
-    """Raise `InternalError` unless the arrays fit the schema and each other."""
+def _checked_sizes(contents: Contents, attributes: Mapping[str, bytes | Raw]) -> dict[str, int]:
+    """Return the bytes of each dataset.
+
+    Raises
+    ------
+    InternalError
+        The arrays do not fit the schema or each other, or a number is not finite.
+    """
     sizes: dict[str, int] = {}
+    n_bytes: dict[str, int] = {}
     for spec in DATASETS:
-        array = datasets[spec.path]
-        if problem := shape_problem(spec, array.dtype, array.shape, sizes):
+        shape = contents.shape(spec.path)
+        if problem := shape_problem(spec, np.dtype(spec.dtype), shape, sizes):
             raise InternalError(f"{spec.path}: {problem}")
+        n_bytes[spec.path] = math.prod(shape) * np.dtype(spec.dtype).itemsize
     for name, value in attributes.items():
         if not isinstance(value, bytes) and not np.all(np.isfinite(value)):
             raise InternalError(f"{name}: expected finite numbers, got {value}")
+    return n_bytes

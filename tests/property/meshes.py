@@ -14,6 +14,7 @@ import hypothesis.extra.numpy as hnp
 import numpy as np
 from hypothesis import strategies as st
 
+from svprep.content import source_digests
 from svprep.edges import build_edges
 from svprep.model import (
     Components,
@@ -103,7 +104,7 @@ def build(source: SourceMesh) -> Built:
         planes=planes,
         edges=edges,
         components=components,
-        record=record(source, weld_report, report),
+        record=record(source, weld_report, report, source_digests(source)),
     )
 
 

@@ -130,6 +130,7 @@ def strip_and_tetrahedron(shift_m: float = 0.0) -> Prepared:
         repair=RepairRecord(
             defect_counts=counts,
             source_triangles=np.array([3, 4], np.uint32),
+            source_digest=np.array([[1, 2], [3, 2**64 - 1]], np.uint64),
             face_findings=FaceFindings(
                 code=np.array([101, 201, 201], np.uint16),
                 object_index=np.array([0, 1, 1], np.uint32),
@@ -305,6 +306,7 @@ def nothing() -> Prepared:
         repair=RepairRecord(
             defect_counts=np.zeros((0, len(DEFECTS)), np.uint32),
             source_triangles=none32,
+            source_digest=np.zeros((0, 2), np.uint64),
             face_findings=FaceFindings(np.zeros(0, np.uint16), none32, none32),
             flipped_faces=none32,
         ),

@@ -180,7 +180,7 @@ def test_foreign_files(tmp_path: Path) -> None:
         open_cache(tmp_path / "pipe")
 
 
-@pytest.mark.parametrize(("version", "advice"), [(5, "Upgrade"), (3, "svprep build")])
+@pytest.mark.parametrize(("version", "advice"), [(6, "Upgrade"), (4, "svprep build")])
 def test_another_schema(version: int, advice: str, copy: Path) -> None:
     with h5py.File(copy, "r+") as file:
         file.attrs.modify("schema_version", np.uint32(version))
@@ -733,6 +733,7 @@ def make_split() -> Prepared:
             sample.repair,
             defect_counts=sample.repair.defect_counts[:1] * np.uint32(0),
             source_triangles=np.array([3], np.uint32),
+            source_digest=np.array([[7, 8]], np.uint64),
             face_findings=replace(
                 sample.repair.face_findings,
                 code=np.zeros(0, np.uint16),

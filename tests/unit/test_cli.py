@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from svprep import cli, pipeline
+from svprep import cli, cli_build, pipeline
 from svprep.defects import Code
 from svprep.errors import InternalError
 
@@ -94,6 +94,11 @@ def test_damage_is_named_and_ends_in_1(capfd: pytest.CaptureFixture[str]) -> Non
         (["build", "--weld-tolerance", "-1", "x.obj"], 2, "metres"),
         (["build", "--weld-tolerance", "nan", "x.obj"], 2, "metres"),
         (["build", "gone.obj"], 1, "gone.obj"),
+        (["build", "--memory", "much", "x.obj"], 2, "not a size like 512M"),
+        (["build", "--memory", "-1G", "x.obj"], 2, "not a size like 512M"),
+        (["build", "--memory", "1Q", "x.obj"], 2, "not a size like 512M"),
+        (["build", "--memory", "", "x.obj"], 2, "not a size like 512M"),
+        (["build", "--memory", "63M", "x.obj"], 2, "give 64M or more"),
         (["build", "gone.obj", "gone2.obj"], 1, "-o CACHE"),
         (["build", "gone.obj", "--report", "r.txt"], 2, ".json or .csv"),
         (["build", "gone.obj", "--report", "no/r.csv"], 1, 'no folder "'),
@@ -116,6 +121,69 @@ def test_one_line_on_standard_error(
     assert out == ""
     assert says in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "n_bytes"),
+    [
+        ("1G", 2**30),
+        ("512M", 2**29),
+        ("1.5GiB", 3 * 2**29),
+        ("2 tb", 2**41),
+        ("65536k", 2**26),
+        ("100000000", 10**8),
+        ("100000000B", 10**8),
+    ],
+)
+def test_sizes_of_memory(text: str, n_bytes: int) -> None:
+    assert cli_build.memory_of(text) == n_bytes
+
+
+@pytest.mark.parametrize("given", ["zero", "0"])
+def test_a_thread_count_that_is_none_is_told_in_one_line(
+    given: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("SVPREP_THREADS", given)
+    assert cli.run(["build", str(CONFORMANCE / "clean_cube.obj")]) == 1
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert f'SVPREP_THREADS is "{given}"' in err
+    assert err.count("\n") == 1
+    assert not list(Path.cwd().iterdir())
+
+
+def test_an_older_cache_is_used_unless_full_is_asked_for(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    model = str(CONFORMANCE / "clean_cube.obj")
+    digests = set()
+    for options, n_reused in (([], 0), ([], 1), (["--full"], 0), (["--memory", "256M"], None)):
+        assert cli.run(["build", model, "-o", "a.svp.h5", "--json", *options]) == 0
+        built = json.loads(capfd.readouterr().out)
+        digests.add(built["content_digest"])
+        assert n_reused in (None, built["reused_objects"])
+        assert {row["name"]: row["seconds"] for row in built["stages"]} == built["seconds"]
+        for row in built["stages"]:
+            assert set(row) == {"name", "seconds", "peak_mb", "mtri_per_s", "bytes_written"}
+    assert len(digests) == 1
+    assert cli.run(["build", model, "-o", "a.svp.h5"]) == 0
+    said = capfd.readouterr().out
+    assert "reused   1 of 1 objects, from the older cache; --full builds all again" in said
+    assert "memory   at most" in said
+
+
+def test_leaving_at_once_loses_no_output() -> None:
+    code = "import atexit, sys; from svprep import cli; atexit.register(print, 'at exit'); "
+    code += "sys.argv = ['svprep', '--version']; cli.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines()[1:] == ["at exit"]
+    assert done.stdout.startswith("svprep ")
 
 
 def test_every_code_is_explained(capfd: pytest.CaptureFixture[str]) -> None:
@@ -158,12 +226,12 @@ def test_interrupted_ends_in_130_and_leaves_the_older_cache(tmp_path: Path) -> N
     before = Path("a.svp.h5").read_bytes()
     slow = (
         "import os, signal, threading\n"
-        "from svprep import cli, pipeline\n"
+        "from svprep import cli, tiles\n"
         "def weld(*args):\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    threading.Event().wait(10)\n"
-        "pipeline.weld = weld\n"
-        f"raise SystemExit(cli.run(['build', {model!r}, '-o', 'a.svp.h5']))\n"
+        "tiles.weld = weld\n"
+        f"raise SystemExit(cli.run(['build', {model!r}, '-o', 'a.svp.h5', '--full']))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", slow],

@@ -91,7 +91,8 @@ def test_very_many_sources_and_notes_stay_readable() -> None:
     assert "source   ... and 2,988 more, 3000.0 MB in all; --json lists them" in lines
     assert "note     ... and 2,975 more; --json lists them" in lines
     assert any(line.endswith("CRS EPSG:1)") for line in lines)
-    assert build_lines({**summary, "seconds": {}})[0] == "sources  3,000 files, 3000.0 MB"
+    built = {"seconds": {}, "stages": [], "remarks": [], "reused_objects": 0}
+    assert build_lines({**summary, **built})[0] == "sources  3,000 files, 3000.0 MB"
 
 
 def test_reports_have_types_parents_and_surfaces() -> None:

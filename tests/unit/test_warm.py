@@ -1,4 +1,4 @@
-"""The kernels that a second process compiles are exactly those that a build then uses."""
+"""Kernels ready in time: what a second process compiles is what a build then loads."""
 
 from __future__ import annotations
 
@@ -8,53 +8,103 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from svprep import warm
 
-COUNT_COMPILES = """
+ROOT = Path(__file__).resolve().parents[2]
+HEAD = """
 import json, sys
+from numba import types
 from numba.core import event
-names = []
+from svprep import pipeline, warm
+"""
+CALLED = """
+def short(t):
+    if not isinstance(t, types.Array):
+        return f"{str(t)[0]}{t.bitwidth // 8}"
+    kind = "b1" if t.dtype == types.boolean else short(t.dtype)
+    return f"{kind}[{':,' * (t.ndim - 1)}::1]" if t.mutable else f"R({kind},{t.ndim})"
+
+warm.load_without_compiler()
+lights = ["dir:110,40", "point:0,0,300"]
+pipeline.build([sys.argv[1]], sys.argv[2], lights=lights, is_full=True)
+called = {
+    f"{name.removeprefix('svprep.kernels.')}.{kernel.__name__}": [
+        "(" + ",".join(map(short, each)) + ")" for each in kernel.overloads
+    ]
+    for name, module in list(sys.modules.items())
+    if name.startswith("svprep.kernels.")
+    for kernel in vars(module).values()
+    if getattr(kernel, "overloads", None) and not kernel.__name__.startswith("_")
+}
+print(json.dumps(called))
+"""
+COMPILED = """
+count = [0]
+
 class Listener(event.Listener):
     def on_start(self, e):
-        f = e.data["dispatcher"].py_func
-        if f.__module__.startswith("svprep"):
-            names.append(f.__module__.split(".")[-1] + "." + f.__name__)
+        count[0] += 1
+
     def on_end(self, e):
         pass
+
 event.register("numba:compile", Listener())
-{work}
-print(json.dumps(names))
+warm.SIGNATURES = {name: warm.SIGNATURES[name] for name in ["rows.counting_order"]}
+warm.SUN_SIGNATURES.clear()
+warm.compile_ahead("sun")
+import scipy.linalg.cython_blas  # it can be imported afterwards
+print(count[0])
 """
-BUILD = """
-from svprep.ingest import read
-from svprep.pipeline import BuildConfig, prepare
-prepare(read([sys.argv[1]]), BuildConfig())
+LOADED = """
+import numpy as np
+warm.load_without_compiler()
+from svprep.kernels.rows import counting_order
+groups, order, start = np.array([1, 0, 1], np.int32), np.empty(3, np.int32), np.empty(3, np.int64)
+counting_order(groups, 2, order, start)
+n_loaded = sum(counting_order.stats.cache_hits.values())
+print(order.tolist(), "numba.np.arraymath" in sys.modules, n_loaded)
 """
-WARM = "from svprep.warm import compile_last_first; compile_last_first()"
+EARLY = {
+    "content.digest_objects",
+    "light_boxes.place_vertices",
+    "half_edges.rebuild_faces",
+    "obj_parser.parse_obj",
+    "rows.first_equal_row",
+    "rows.weld_corners",
+    "surface.face_normals",
+    "triangulate.clip_rings",
+}
+"""What a build compiles by itself: kernels that come first, or are quickly compiled."""
 
 
-def compiled(work: str, cache: Path) -> list[str]:
+def run(program: str, *arguments: object, **environment: str) -> str:
     done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            COUNT_COMPILES.format(work=work),
-            str(ROOT / "data/small_city.obj.gz"),
-        ],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(cache)},
+        [sys.executable, "-c", HEAD + program, *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
     )
-    return json.loads(done.stdout)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
-def test_a_build_after_warming_compiles_none_of_those_kernels(tmp_path: Path) -> None:
-    from svprep.warm import SIGNATURES
+def test_signatures_are_those_that_a_build_calls_kernels_with(tmp_path: Path) -> None:
+    called = json.loads(run(CALLED, ROOT / "data/small_city.obj.gz", tmp_path / "a.svp.h5"))
+    promised = warm.wanted(["sun", "point"])
+    for name, signature in promised.items():
+        assert called[name] == [signature], name
+    assert set(called) - set(promised) <= EARLY
 
-    assert set(SIGNATURES) <= set(compiled(WARM, tmp_path))
-    left = compiled(BUILD, tmp_path)
-    assert not set(left) & set(SIGNATURES)
-    # Reader and weld are compiled by the build itself; nothing else is left over.
-    assert {name.split(".")[0] for name in left} <= {"obj_parser", "triangulate", "rows", "surface"}
-    assert compiled(BUILD, tmp_path) == []
+
+def test_what_is_compiled_ahead_is_then_loaded_without_the_compiler(tmp_path: Path) -> None:
+    place = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    assert int(run(COMPILED, **place)) >= 1
+    assert run(LOADED, **place) == "[1, 0, 2] False 1\n"
+
+
+def test_kernels_of_lights_are_compiled_for_such_lights_only() -> None:
+    assert list(warm.wanted([])) == list(warm.SIGNATURES)
+    suns, points = set(warm.wanted(["sun"])), set(warm.wanted(["point"]))
+    assert suns - points == set(warm.SUN_SIGNATURES) - set(warm.POINT_SIGNATURES)
+    assert "point_clamping.clamp_casters_in_views" in points - suns
