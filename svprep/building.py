@@ -34,7 +34,7 @@ from svprep.clamp_changes import PreviousClamp
 from svprep.content import source_digests
 from svprep.errors import InputError
 from svprep.ingest import read
-from svprep.ingest.spill import Spill, empty_table, release, return_free_memory
+from svprep.ingest.spill import Spill, empty_table, release
 from svprep.light import Light, Site
 from svprep.model import (
     I64,
@@ -51,6 +51,7 @@ from svprep.model import (
 from svprep.older import Older, objects_before, read_older, runs_taken_over
 from svprep.parallel import map_ordered, thread_count
 from svprep.planes import default_planar_tolerance_m
+from svprep.process_memory import return_free_memory
 from svprep.repair.grid import choose_grid, notes_on_step
 from svprep.scene_tree import LocalClusters, join_clusters, scene_tree, updated_scene_tree
 from svprep.stage_clock import StageClock

@@ -22,6 +22,7 @@ from svprep.ingest.inputs import expanded
 from svprep.ingest.options import HIGHEST, ReadOptions, is_lod
 from svprep.model import EdgeTable, Place
 from svprep.parallel import thread_count
+from svprep.process_memory import keep_free_memory
 from svprep.stage_clock import StageRow
 from svprep.warm import load_without_compiler, second_compiler
 
@@ -120,6 +121,8 @@ def build(order: Order, tell: Tell) -> dict[str, Any]:
         report.REPORT.checked_path(order.report, [*expanded(order.inputs).paths, cache])
     thread_count()  # a slip in SVPREP_THREADS is told before any work
     load_without_compiler()
+    if order.memory_bytes is None:
+        keep_free_memory()
     with second_compiler(order.lights):
         result = pipeline.build(
             order.inputs,

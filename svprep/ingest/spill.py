@@ -7,7 +7,6 @@ says that a part is not used now. Results are the same either way.
 
 from __future__ import annotations
 
-import ctypes
 import mmap
 import os
 import tempfile
@@ -128,17 +127,6 @@ def release(array: Array) -> None:
     offset = array.ctypes.data - np.frombuffer(mapping, np.uint8, 1).ctypes.data
     begin = offset // mmap.PAGESIZE * mmap.PAGESIZE
     mapping.madvise(mmap.MADV_DONTNEED, begin, offset + array.nbytes - begin)
-
-
-def return_free_memory() -> None:
-    """Give back to the system what is freed but kept for later, which glibc does when told.
-
-    Each thread that worked on a tile may keep as much as a tile takes. Nothing happens with
-    another C library.
-    """
-    trim = getattr(ctypes.CDLL(None) if os.name == "posix" else None, "malloc_trim", None)
-    if trim is not None:
-        trim(0)
 
 
 def row_blocks(*arrays: Array, rows: int = BLOCK_ROWS) -> Iterator[tuple[Array, ...]]:
