@@ -61,10 +61,10 @@ from svprep.tiles import (
     FACES,
     SHARES,
     TILE_STAGES,
-    Tile,
     TileTables,
     cut,
     prepare_tile,
+    selected_objects,
     tile_of,
 )
 
@@ -116,6 +116,11 @@ class Plan:
         return len(self.source.faces)
 
     @property
+    def n_objects(self) -> int:
+        """Objects."""
+        return len(self.source.object_names)
+
+    @property
     def n_reused(self) -> int:
         """Objects whose tables are taken over."""
         return 0 if self.before is None else int(np.count_nonzero(self.before >= 0))
@@ -134,16 +139,6 @@ class Plan:
             for k in np.flatnonzero(sizes > self.most_faces).tolist()
         )
         return (*self.room.spill.remarks, *alone)
-
-    def tile(self, begin: int, end: int) -> Tile:
-        """Return some consecutive objects as a tile."""
-        return tile_of(self.source, begin, end, self.grid, self.weld_tolerance_m)
-
-    def let_go(self, tile: Tile, begin: int, end: int) -> None:
-        """Let the system take back the memory behind what a tile was read into."""
-        rows = slice(*self.source.object_face_start[[begin, end]].tolist())
-        for array in (tile.source.positions, tile.source.source_face, self.source.faces[rows]):
-            release(array)
 
     @property
     def site(self) -> Site:
@@ -195,21 +190,26 @@ def prepare_tiles(plan: Plan, clock: StageClock) -> Parts:
         No face has any area.
     """
     clock.start("weld")
-    old_runs = dict(_taken_over(plan))
+    runs, work, numbers = dict(_taken_over(plan)), plan.source, np.arange(plan.n_objects)
+    if plan.before is not None:
+        numbers = np.flatnonzero(plan.before < 0)
+        work = selected_objects(plan.source, numbers)
 
     def do(objects: tuple[int, int]) -> TileTables:
-        tile = plan.tile(*objects)
+        tile = tile_of(work, *objects, plan.grid, plan.weld_tolerance_m)
         made = prepare_tile(tile)
-        plan.let_go(tile, *objects)
+        rows = slice(*work.object_face_start[list(objects)].tolist())
+        for array in (tile.source.positions, tile.source.source_face, work.faces[rows]):
+            release(array)  # the input's, where it is mapped
         return made
 
     store = InMemory() if plan.room is None else OnDisk(plan.room.spill)
     clusters: list[LocalClusters] = []
     seconds = dict.fromkeys((*TILE_STAGES, *SHARES), 0.0)
     most_ahead = thread_count() * (2 if plan.room is None else 1)
-    for group in _groups(plan):
-        for (first, _), made in zip(group, map_ordered(do, group, most_ahead), strict=True):
-            store.add(first, made.arrays)
+    for group in _groups(work.object_face_start, plan):
+        for objects, made in zip(group, map_ordered(do, group, most_ahead), strict=True):
+            store.add(numbers[slice(*objects)], made.arrays)
             clusters.append(made.clusters)
             for name, spent in made.seconds.items():
                 seconds[name] += spent
@@ -217,7 +217,7 @@ def prepare_tiles(plan: Plan, clock: StageClock) -> Parts:
     clock.share(seconds, store.n_bytes)
     if plan.room is not None:
         return_free_memory()
-    runs = {**old_runs, **store.runs()}
+    runs.update(store.runs())
     parts = Parts(plan, Joined([runs[k] for k in sorted(runs)], release), clusters)
     if not parts.joined.size("n_faces"):
         raise no_area(plan.source, plan.grid, plan.weld_tolerance_m)
@@ -229,23 +229,13 @@ def _taken_over(plan: Plan) -> Iterator[tuple[int, Run]]:
         yield from runs_taken_over(plan.older, plan.source, plan.before)
 
 
-def _tiles_of(plan: Plan) -> list[tuple[int, int]]:
-    """Return the objects that are to be prepared, tile by tile."""
-    start, n_objects = plan.source.object_face_start, len(plan.source.object_names)
-    if plan.before is None:
-        return cut(start, 0, n_objects, plan.most_faces)
-    is_new = np.concatenate(([False], plan.before < 0, [False]))
-    bounds = np.flatnonzero(is_new[1:] != is_new[:-1]).reshape(-1, 2)
-    return [tile for a, b in bounds.tolist() for tile in cut(start, a, b, plan.most_faces)]
-
-
-def _groups(plan: Plan) -> Iterator[list[tuple[int, int]]]:
+def _groups(start: I64, plan: Plan) -> Iterator[list[tuple[int, int]]]:
     """Yield the tiles that run side by side; some large ones run alone.
 
     These are the one that is most of all the work, which then is shared among the threads,
     and where memory is short those of a single object that is more than a tile may be.
     """
-    tiles, start = _tiles_of(plan), plan.source.object_face_start
+    tiles = cut(start, plan.most_faces)
     sizes = [int(start[end] - start[begin]) for begin, end in tiles]
     most = sum(sizes) // 2
     if plan.room is not None:

@@ -35,8 +35,8 @@ def source_digests(
     faces, source_face = source.faces, source.source_face
     for_ranges(start, lambda a, b: digest_objects(words, faces, start, source_face, a, b, digest))
     found = source.face_findings
-    own = np.flatnonzero((found.object_index >= begin) & (found.object_index < end))
-    if len(own):
+    own = slice(*np.searchsorted(found.object_index, [begin, end]).tolist())
+    if own.start < own.stop:
         owner = found.object_index[own].astype(np.int64) - begin
         _add_findings(digest, owner, found.code[own], found.source_face[own], start, source_face)
     return digest

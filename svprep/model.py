@@ -142,7 +142,7 @@ class SourceMesh:
     """``(n_objects,)``: index into `sources`."""
     sources: tuple[SourceFile, ...]
     face_findings: FaceFindings
-    """What the reader itself found (short or non-planar polygons)."""
+    """What the reader itself found (short or non-planar polygons), ascending by object."""
     notes: tuple[str, ...]
     """One line each on what the file holds that is not a surface (lines,
     points, empty groups) and on conversions made (y up to z up)."""

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ from svprep.errors import CacheError
 from svprep.model import I64, NO_INDEX, ClampTable, Grid, Mesh, SceneTree, SourceMesh
 
 Raw = NDArray[Any]
+MOST_RUNS: Final = 1024
+"""Runs of objects that are taken over at most."""
 U64 = NDArray[np.uint64]
 
 
@@ -49,14 +52,14 @@ class Older:
         return len(self.arrays["repair/source_digest"])
 
 
-def read_older(path: object) -> Older | None:
+def read_older(path: Path) -> Older | None:
     """Return what can be taken over from the cache `path`; None where there is nothing.
 
     Everything that may be needed is read and its digests are checked: what is damaged, of
     another schema or made by other code is built again.
     """
     try:
-        with open_cache(str(path)) as cache:
+        with open_cache(path) as cache:
             if cache.tables_by != stage_code() or not cache.n_objects:
                 return None
             return _read(cache)
@@ -95,7 +98,7 @@ def objects_before(
     Returns
     -------
     ndarray or None
-        ``(n_objects,) int64``; None where the older cache is of no use.
+        ``(n_objects,) int64``; None where the older cache is of no use, or of little.
     """
     if older is None or older.weld_tolerance_m != weld_tolerance_m:
         return None
@@ -119,7 +122,22 @@ def objects_before(
         is_first = np.zeros(len(found), np.bool_)
         is_first[first[kept >= 0]] = True
         found[~is_first] = -1  # an object that is there twice was there once: one is built
-    return found if (found >= 0).any() else None
+    _keep_longest_runs(found)
+    # To fit half of a city together takes as long as to build it.
+    return found if 2 * np.count_nonzero(found >= 0) >= len(found) else None
+
+
+def _keep_longest_runs(found: I64) -> None:
+    """Give up objects in short runs where there are more than `MOST_RUNS`, in place.
+
+    Each run takes as long to put in its place as some hundred triangles to build.
+    """
+    goes_on = (found[1:] >= 0) & (found[1:] == found[:-1] + 1) & (found[:-1] >= 0)
+    run = np.cumsum(np.concatenate(([True], ~goes_on))) - 1
+    lengths = np.bincount(run, weights=found >= 0).astype(np.int64)
+    if np.count_nonzero(lengths) > MOST_RUNS:
+        shortest = np.argsort(-lengths, kind="stable")[MOST_RUNS:]
+        found[np.isin(run, shortest)] = -1
 
 
 def runs_taken_over(older: Older, source: SourceMesh, before: I64) -> Iterator[tuple[int, Run]]:

@@ -17,9 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from svprep.defects import DEFECTS, LEFT_OUT, Code
+from svprep.defects import DEFECTS, Code
 from svprep.model import (
-    I64,
     NO_INDEX,
     U8,
     ComponentFlag,
@@ -62,12 +61,6 @@ def extent_m(mesh: Mesh) -> list[float]:
         return [0.0, 0.0, 0.0]
     low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
     return [round(x, 3) for x in (high.astype(np.float64) - low).tolist()]
-
-
-def left_out_faces(prepared: Prepared) -> I64:
-    """Return the rows of `face_findings` that tell of a face that is not in the mesh."""
-    dropped = (*LEFT_OUT, Code.SHORT_POLYGON)
-    return np.flatnonzero(np.isin(prepared.repair.face_findings.code, dropped))
 
 
 def total_counts(repair: RepairRecord) -> dict[str, int]:

@@ -7,8 +7,9 @@ from typing import Any, Final
 
 from numpy.typing import NDArray
 
-from svprep.cache.runs import Run, whole_run
+from svprep.cache.runs import Run, runs_of_objects, whole_run
 from svprep.ingest.spill import Column, Spill
+from svprep.model import I64
 
 Raw = NDArray[Any]
 
@@ -21,12 +22,15 @@ class InMemory:
     def __init__(self) -> None:
         self._runs: dict[int, Run] = {}
 
-    def add(self, first_object: int, arrays: dict[str, Raw]) -> None:
-        """Keep a tile's tables."""
-        self._runs[first_object] = whole_run(arrays)
+    def add(self, numbers: I64, arrays: dict[str, Raw]) -> None:
+        """Keep a tile's tables, of objects with these numbers."""
+        if len(numbers) == 1 + numbers[-1] - numbers[0]:
+            self._runs[int(numbers[0])] = whole_run(arrays)
+        else:  # objects that changed, others between them
+            self._runs.update(runs_of_objects(arrays, numbers))
 
     def runs(self) -> dict[int, Run]:
-        """Return each tile's objects as a run, by the first one's number."""
+        """Return runs of consecutive objects, by the first one's number."""
         return self._runs
 
 
@@ -40,8 +44,8 @@ class OnDisk:
         self._rows: dict[int, dict[str, tuple[int, int]]] = {}
         self.n_bytes = 0
 
-    def add(self, first_object: int, arrays: dict[str, Raw]) -> None:
-        """Write a tile's tables behind those of the tiles before."""
+    def add(self, numbers: I64, arrays: dict[str, Raw]) -> None:
+        """Write a tile's tables, of consecutive objects, behind those of the tiles before."""
         rows: dict[str, tuple[int, int]] = {}
         for path, array in arrays.items():
             width = math.prod(array.shape[1:]) if array.ndim > 1 else 0
@@ -53,7 +57,7 @@ class OnDisk:
             rows[path] = len(column), len(column) + len(array)
             column.append(flat)
             self.n_bytes += array.nbytes
-        self._rows[first_object] = rows
+        self._rows[int(numbers[0])] = rows
 
     def runs(self) -> dict[int, Run]:
         """Return each tile's objects as a run of mapped files, by the first one's number."""

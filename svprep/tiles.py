@@ -63,18 +63,42 @@ class TileTables:
     """Wall seconds of each of `TILE_STAGES`, and of `SHARES`."""
 
 
-def cut(face_start: I64, begin: int, end: int, most_faces: int = FACES) -> list[tuple[int, int]]:
-    """Return the objects ``begin .. end - 1`` as runs of at most `most_faces` triangles.
+def cut(face_start: I64, most_faces: int = FACES) -> list[tuple[int, int]]:
+    """Return all objects as runs of at most `most_faces` triangles.
 
     ``face_start (n_objects + 1,)``. An object with more is a run by itself.
     """
     runs: list[tuple[int, int]] = []
-    while begin < end:
+    begin, n_objects = 0, len(face_start) - 1
+    while begin < n_objects:
         fit = int(np.searchsorted(face_start, face_start[begin] + most_faces, side="right")) - 1
-        stop = min(max(fit, begin + 1), end)
+        stop = max(fit, begin + 1)
         runs.append((begin, stop))
         begin = stop
     return runs
+
+
+def selected_objects(source: SourceMesh, objects: I64) -> SourceMesh:
+    """Return some objects of a mesh, ascending, over all of its vertices."""
+    start, sizes = source.object_face_start, np.diff(source.object_face_start)[objects]
+    new_start = np.concatenate(([0], np.cumsum(sizes)))
+    rows = np.repeat(start[objects] - new_start[:-1], sizes) + np.arange(new_start[-1])
+    found = source.face_findings
+    at = np.searchsorted(objects, found.object_index)
+    own = np.flatnonzero(np.isin(found.object_index, objects))
+    return replace(
+        source,
+        faces=source.faces[rows],
+        object_face_start=new_start,
+        source_face=source.source_face[rows],
+        object_names=tuple(source.object_names[k] for k in objects.tolist()),
+        object_source=source.object_source[objects],
+        face_findings=FaceFindings(
+            code=found.code[own],
+            object_index=at[own].astype(np.uint32),
+            source_face=found.source_face[own],
+        ),
+    )
 
 
 def tile_of(source: SourceMesh, begin: int, end: int, grid: Grid, weld_tolerance_m: float) -> Tile:
@@ -96,7 +120,7 @@ def _source_of(source: SourceMesh, begin: int, end: int) -> SourceMesh:
         positions = source.positions[used]
         faces = inverse.reshape(faces.shape).astype(np.uint32)
     found = source.face_findings
-    own = np.flatnonzero((found.object_index >= begin) & (found.object_index < end))
+    own = slice(*np.searchsorted(found.object_index, [begin, end]).tolist())
     return replace(
         source,
         positions=np.ascontiguousarray(positions),

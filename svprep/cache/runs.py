@@ -85,6 +85,20 @@ def whole_run(arrays: Mapping[str, Raw]) -> Run:
     return Run(arrays, dict.fromkeys(end, 0), end)
 
 
+def runs_of_objects(arrays: Mapping[str, Raw], numbers: I64) -> Iterator[tuple[int, Run]]:
+    """Yield ``(number, run)`` for a set of tables whose objects have these numbers now.
+
+    ``numbers (n_objects,)``, ascending: a run goes on as long as they follow each other.
+    """
+    first = np.flatnonzero(np.concatenate(([True], np.diff(numbers) != 1)))
+    bounds = np.concatenate((first, [len(numbers)]))
+    rows = rows_of_objects(arrays, bounds)
+    for i, k in enumerate(first.tolist()):
+        begin = {symbol: int(at[i]) for symbol, at in rows.items()}
+        end = {symbol: int(at[i + 1]) for symbol, at in rows.items()}
+        yield int(numbers[k]), Run(arrays, begin, end)
+
+
 def rows_of_objects(arrays: Mapping[str, Raw], objects: I64) -> dict[str, I64]:
     """Return the first row of every length that belongs to each of some objects.
 

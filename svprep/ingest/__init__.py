@@ -26,7 +26,7 @@ from svprep.ingest.options import HIGHEST, ReadOptions
 from svprep.ingest.parsed import ParsedFile, Report, bytes_of_tables, encodable, in_files
 from svprep.ingest.spill import Array, Spill, empty_table, release, row_blocks
 from svprep.ingest.surface_names import SurfaceNames
-from svprep.model import U8, FaceFindings, Place, SourceFile, SourceMesh
+from svprep.model import U8, U32, FaceFindings, Place, SourceFile, SourceMesh
 from svprep.path_names import told_apart
 
 Progress = Callable[[int, int], None]
@@ -331,13 +331,7 @@ def _concatenate(
         object_names=tuple(encodable(name) for p in parsed for name in p.object_names),
         object_source=np.repeat(np.arange(len(parsed), dtype=np.uint32), n_objects),
         sources=tuple(sources),
-        face_findings=FaceFindings(
-            code=_joined([f.code for f in findings]),
-            object_index=_joined(
-                [f.object_index + k for f, k in zip(findings, first_object, strict=True)]
-            ),
-            source_face=_joined([f.source_face for f in findings]),
-        ),
+        face_findings=_by_object(findings, first_object),
         notes=(
             *map(encodable, notes),
             *merged_notes(
@@ -353,6 +347,17 @@ def _concatenate(
             [p.surface_of_polygon for p in parsed], spill, [table.take for table in tables]
         ),
         polygon_start=np.cumsum([0, *(len(p.surface_of_polygon) for p in parsed)], dtype=np.int64),
+    )
+
+
+def _by_object(findings: list[FaceFindings], first_object: U32) -> FaceFindings:
+    """Return what the readers found, one object after the other."""
+    owner = _joined([f.object_index + k for f, k in zip(findings, first_object, strict=True)])
+    order = np.argsort(owner, kind="stable")
+    return FaceFindings(
+        code=_joined([f.code for f in findings])[order],
+        object_index=owner[order],
+        source_face=_joined([f.source_face for f in findings])[order],
     )
 
 

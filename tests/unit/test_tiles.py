@@ -18,7 +18,7 @@ from svprep.cache.runs import PER_OBJECT, Joined, whole_run
 from svprep.content import source_digests
 from svprep.errors import CacheError
 from svprep.ingest import read
-from svprep.model import SourceMesh
+from svprep.model import I64, SourceMesh
 from svprep.parallel import map_ordered
 from svprep.pipeline import BuildConfig, BuildResult, build
 from svprep.repair.grid import choose_grid
@@ -130,7 +130,7 @@ def check_same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) ->
 def test_tiles_join_to_the_tables_of_the_whole(most_faces: int, tmp_path: Path) -> None:
     for source in (read([CITY]), read([written(town(), tmp_path / "town.obj")])):
         n = len(source.object_names)
-        runs = cut(source.object_face_start, 0, n, most_faces)
+        runs = cut(source.object_face_start, most_faces)
         assert [runs[0][0], runs[-1][1]] == [0, n]
         assert all(a[1] == b[0] for a, b in pairwise(runs))
         expected = at_once(source)
@@ -143,8 +143,7 @@ def test_tiles_of_vertices_from_all_over_the_file() -> None:
     order = np.random.default_rng(3).permutation(len(source.positions))
     place = np.argsort(order).astype(np.uint32)
     mixed = replace(source, positions=source.positions[order], faces=place[source.faces])
-    n = len(source.object_names)
-    check_same(joined(mixed, cut(mixed.object_face_start, 0, n, 300)), at_once(mixed))
+    check_same(joined(mixed, cut(mixed.object_face_start, 300)), at_once(mixed))
 
 
 def built(source: Path, cache: Path, **options: object) -> BuildResult:
@@ -184,6 +183,13 @@ def broken_edited(blocks: list[Block]) -> list[Block]:
     return [*blocks[:3], broken("house 3", (36.0, 0.5)), *blocks[4:]]
 
 
+def every_second(blocks: list[Block]) -> list[Block]:
+    return [
+        replace(block, vertices=block.vertices + [0.0, 0.25 * (i % 2), 0.0])
+        for i, block in enumerate(blocks)
+    ]
+
+
 EDITS: list[tuple[Callable[[list[Block]], list[Block]], int]] = [
     (list, 12),
     (moved, 11),
@@ -194,6 +200,7 @@ EDITS: list[tuple[Callable[[list[Block]], list[Block]], int]] = [
     (renamed, 12),
     (doubled, 12),
     (broken_edited, 11),
+    (every_second, 6),
 ]
 
 
@@ -212,6 +219,17 @@ def test_building_over_a_cache_gives_what_a_full_build_gives(
     assert again.cache.datasets == full.cache.datasets
     assert again.reused == reused + len(frame)
     assert full.reused == 0
+
+
+def test_many_short_runs_are_not_worth_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, cache = tmp_path / "town.obj", tmp_path / "town.svp.h5"
+    built(written(town(), source), cache)
+    monkeypatch.setattr(older, "MOST_RUNS", 2)
+    written(every_second(town())[:5] + town()[5:], source)  # kept: 0, 2 and 4 to 11
+    again = built(source, cache)
+    full = built(source, tmp_path / "full.svp.h5", is_full=True)
+    assert again.cache.content_digest == full.cache.content_digest
+    assert again.reused == 9
 
 
 def test_another_grid_tolerance_or_light_is_built_anew(tmp_path: Path) -> None:
@@ -266,8 +284,8 @@ def test_an_object_over_the_budget_is_prepared_alone_and_said_so(
     groups: list[list[tuple[int, int]]] = []
     grouped = building._groups
 
-    def seen(plan: building.Plan) -> list[list[tuple[int, int]]]:
-        groups[:] = grouped(plan)
+    def seen(start: I64, plan: building.Plan) -> list[list[tuple[int, int]]]:
+        groups[:] = grouped(start, plan)
         return groups
 
     monkeypatch.setattr(building, "_groups", seen)
