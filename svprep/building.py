@@ -32,7 +32,7 @@ from svprep.cache.schema import SPEC_OF_PATH
 from svprep.clamp import ClampCosts, clamp_lights
 from svprep.clamp_changes import PreviousClamp
 from svprep.content import source_digests
-from svprep.errors import InputError
+from svprep.errors import EnvironmentProblem, InputError
 from svprep.ingest import read
 from svprep.ingest.spill import Spill, empty_table, release
 from svprep.light import Light, Site
@@ -48,7 +48,7 @@ from svprep.model import (
     SceneTree,
     SourceMesh,
 )
-from svprep.older import Older, objects_before, read_older, runs_taken_over
+from svprep.older import OfNoUse, Older, objects_before, read_older, runs_taken_over
 from svprep.parallel import map_ordered, thread_count
 from svprep.planes import default_planar_tolerance_m
 from svprep.process_memory import return_free_memory
@@ -91,8 +91,19 @@ def room_for(memory_bytes: int | None) -> Iterator[Room | None]:
     if memory_bytes is None:
         yield None
         return
+    asked = os.environ.get("TMPDIR", "")
+    if asked and not os.path.isdir(asked):
+        raise EnvironmentProblem(
+            f'TMPDIR is "{asked}", which is no folder: --memory needs one for what is not held. '
+            "Make it, or name another"
+        )
     faces = int(_TILES_SHARE * memory_bytes / (BYTES_PER_FACE * thread_count()))
-    with tempfile.TemporaryDirectory(prefix="svprep-") as folder:
+    place: contextlib.AbstractContextManager[str]
+    if os.name == "posix":  # the files have no names, and need no folder of their own
+        place = contextlib.nullcontext(tempfile.gettempdir())
+    else:
+        place = tempfile.TemporaryDirectory(prefix="svprep-")
+    with place as folder:
         yield Room(Spill(Path(folder), memory_bytes), max(1, min(faces, FACES)))
 
 
@@ -109,6 +120,8 @@ class Plan:
     most_faces: int
     """Of a tile."""
     room: Room | None
+    of_no_use: str = ""
+    """Why nothing is taken over from an older cache that is there."""
 
     @property
     def n_triangles(self) -> int:
@@ -128,17 +141,32 @@ class Plan:
     @property
     def remarks(self) -> tuple[str, ...]:
         """One line each on how this build goes."""
-        if self.room is None:
-            return ()
+        remarks = []
+        if self.of_no_use:
+            remarks.append(f"nothing is taken over from the older cache: {self.of_no_use}")
+        if self.room is not None:
+            remarks += [*self.room.spill.remarks, *self._prepared_alone()]
+        return tuple(remarks)
+
+    def _prepared_alone(self) -> list[str]:
+        """Return a line for each object that is more than a tile may be."""
         sizes = np.diff(self.source.object_face_start)
-        alone = tuple(
+        return [
             f"{self.source.sources[self.source.object_source[k]].path}, object "
             f'"{self.source.object_names[k]}": its {sizes[k]:,} triangles are prepared alone, '
             f"which takes about {sizes[k] * BYTES_PER_FACE / 1e6:,.0f} MB; a tile within "
             f"--memory has at most {self.most_faces:,}"
             for k in np.flatnonzero(sizes > self.most_faces).tolist()
-        )
-        return (*self.room.spill.remarks, *alone)
+        ]
+
+    def lights_left_behind(self, clamp: ClampTable) -> tuple[str, ...]:
+        """Return a remark on lights that the older cache holds and this build was not asked for."""
+        if self.older is None or self.before is None:
+            return ()
+        asked = {light.tobytes() for light in clamp.lights}
+        n = sum(light.tobytes() not in asked for light in self.older.clamp.lights)
+        lights = "light is" if n == 1 else "lights are"
+        return (f"{n} {lights} in the older cache only: name them again to keep them",) if n else ()
 
     @property
     def site(self) -> Site:
@@ -173,12 +201,17 @@ def read_and_compare(
             release(array)
         if room is not None:
             return_free_memory()
-        found = None if reading is None else reading.result()
-    before = None
-    if found is not None:
-        before = objects_before(found, source_digests(source), grid, config.weld_tolerance_m)
+        found, before, of_no_use = None, None, ""
+        try:
+            if reading is not None:
+                found = reading.result()
+                digests = source_digests(source)
+                before = objects_before(found, digests, grid, config.weld_tolerance_m)
+        except OfNoUse as why:
+            of_no_use = str(why)
     most_faces = FACES if room is None else room.faces_per_tile
-    return Plan(source, grid, config.weld_tolerance_m, found, before, most_faces, room)
+    tolerance_m = config.weld_tolerance_m
+    return Plan(source, grid, tolerance_m, found, before, most_faces, room, of_no_use)
 
 
 def prepare_tiles(plan: Plan, clock: StageClock) -> Parts:

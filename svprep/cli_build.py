@@ -69,7 +69,8 @@ def memory_of(text: str) -> int:
     n_bytes = int(float(match[1]) * _BYTES_OF_UNIT[match[2].lower()])
     if n_bytes < _LEAST_MEMORY:
         raise typer.BadParameter(
-            f'--memory "{text[:40]}" is too little to build with; give 64M or more'
+            f'--memory "{text[:40]}" is {n_bytes:,} bytes, too little to build with; '
+            "give 64M or more"
         )
     return n_bytes
 
@@ -215,21 +216,12 @@ def _content(cache: Cache) -> dict[str, Any]:
         "clusters": len(cache.raw("scene/cluster_start")) - 1,
         "lights": cli_clamp.light_facts(cache.clamp, cache.grid),
         "grid_step_m": cache.grid.step_m,
-        "extent_m": _extent_m(cache),
+        "extent_m": report.extent_m(cache.raw("mesh/positions")),
         "left_out": int(np.count_nonzero(left_out)),
         "turned": len(repair.flipped_faces),
         "defects": report.total_counts(repair),
         "notes": list(cache.notes),
     }
-
-
-def _extent_m(cache: Cache) -> list[float]:
-    """Return how far the mesh reaches along x, y and z [m], to the millimetre."""
-    positions = cache.raw("mesh/positions")
-    if not len(positions):
-        return [0.0, 0.0, 0.0]
-    axes = positions.T
-    return [round(float(axis.max()) - float(axis.min()), 3) for axis in axes]
 
 
 def build_lines(summary: dict[str, Any]) -> list[str]:

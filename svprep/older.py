@@ -52,25 +52,33 @@ class Older:
         return len(self.arrays["repair/source_digest"])
 
 
-def read_older(path: Path) -> Older | None:
-    """Return what can be taken over from the cache `path`; None where there is nothing.
+class OfNoUse(Exception):
+    """Nothing is taken over from an older cache; the text says why."""
 
-    Everything that may be needed is read and its digests are checked: what is damaged, of
-    another schema or made by other code is built again.
+
+def read_older(path: Path) -> Older:
+    """Return what can be taken over from the cache `path`.
+
+    Everything that may be needed is read and its digests are checked.
+
+    Raises
+    ------
+    OfNoUse
+        It is damaged, of another schema, or was made by other code.
     """
     try:
         with open_cache(path) as cache:
             if cache.tables_by != stage_code() or not cache.n_objects:
-                return None
+                raise OfNoUse("another svprep made it")
             return _read(cache)
     except CacheError:
-        return None
+        raise OfNoUse("it is damaged, or not of this svprep's schema") from None
 
 
-def _read(cache: Cache) -> Older | None:
+def _read(cache: Cache) -> Older:
     tolerance = cache.config.get("weld_tolerance_m")
     if not isinstance(tolerance, int | float):
-        return None
+        raise OfNoUse("it does not say how it was welded")
     arrays = {spec.path: cache.raw(spec.path) for spec in PER_OBJECT}
     return Older(
         arrays=arrays,
@@ -82,14 +90,12 @@ def _read(cache: Cache) -> Older | None:
     )
 
 
-def objects_before(
-    older: Older | None, digests: U64, grid: Grid, weld_tolerance_m: float
-) -> I64 | None:
+def objects_before(older: Older, digests: U64, grid: Grid, weld_tolerance_m: float) -> I64:
     """Return which object of the older cache each object is, each at most once; -1 for none.
 
     Parameters
     ----------
-    older : Older or None
+    older : Older
     digests : ndarray
         ``(n_objects, 2) uint64``
     grid, weld_tolerance_m
@@ -97,14 +103,19 @@ def objects_before(
 
     Returns
     -------
-    ndarray or None
-        ``(n_objects,) int64``; None where the older cache is of no use, or of little.
+    ndarray
+        ``(n_objects,) int64``
+
+    Raises
+    ------
+    OfNoUse
+        It is welded or quantised in another way, or holds less than half of the objects.
     """
-    if older is None or older.weld_tolerance_m != weld_tolerance_m:
-        return None
+    if older.weld_tolerance_m != weld_tolerance_m:
+        raise OfNoUse("it was welded with another tolerance")
     before = older.mesh.grid
     if before.step_m != grid.step_m or not np.array_equal(before.origin_m, grid.origin_m):
-        return None
+        raise OfNoUse("the model's outermost box changed, and with it the grid")
     theirs = older.arrays["repair/source_digest"]
     n = min(len(theirs), len(digests))
     found = np.full(len(digests), -1, np.int64)
@@ -124,7 +135,9 @@ def objects_before(
         found[~is_first] = -1  # an object that is there twice was there once: one is built
     _keep_longest_runs(found)
     # To fit half of a city together takes as long as to build it.
-    return found if 2 * np.count_nonzero(found >= 0) >= len(found) else None
+    if 2 * np.count_nonzero(found >= 0) < len(found):
+        raise OfNoUse("it holds less than half of the objects unchanged, or in runs too short")
+    return found
 
 
 def _keep_longest_runs(found: I64) -> None:

@@ -156,7 +156,7 @@ def build(
         cache=summary,
         stages=clock.stop(plan.n_triangles),
         reused=plan.n_reused,
-        remarks=plan.remarks,
+        remarks=(*plan.remarks, *plan.lights_left_behind(clamp)),
     )
 
 

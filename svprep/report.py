@@ -19,6 +19,7 @@ import numpy as np
 
 from svprep.defects import DEFECTS, Code
 from svprep.model import (
+    F32,
     NO_INDEX,
     U8,
     ComponentFlag,
@@ -26,7 +27,6 @@ from svprep.model import (
     EdgeKind,
     EdgeTable,
     Labels,
-    Mesh,
     Prepared,
     RepairRecord,
     SilhouetteIndex,
@@ -55,12 +55,15 @@ def write_report(prepared: Prepared, path: str | PathLike[str]) -> None:
     write_whole(target, [text.encode("utf-8", "surrogateescape")])
 
 
-def extent_m(mesh: Mesh) -> list[float]:
-    """Return how far the mesh reaches along x, y and z [m], to the millimetre."""
-    if not len(mesh.positions):
+def extent_m(positions: F32) -> list[float]:
+    """Return how far vertices reach along x, y and z [m], to the millimetre.
+
+    ``positions (n_vertices, 3)``
+    """
+    if not len(positions):
         return [0.0, 0.0, 0.0]
-    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
-    return [round(x, 3) for x in (high.astype(np.float64) - low).tolist()]
+    # Column by column: several times as fast as all rows at once.
+    return [round(float(axis.max()) - float(axis.min()), 3) for axis in positions.T]
 
 
 def total_counts(repair: RepairRecord) -> dict[str, int]:

@@ -575,7 +575,7 @@ ATTRIBUTES: Final[tuple[AttributeSpec, ...]] = (
         "utf8",
         (),
         "",
-        "SHA-256 of the code that made the tables of objects: a later build takes tables over "
+        "SHA-256 of the code that made the tables: a later build takes tables over "
         "if they are its own.",
         in_content=False,
     ),

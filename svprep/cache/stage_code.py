@@ -1,4 +1,4 @@
-"""Which code made the tables of objects.
+"""Which code made the tables that a later build takes over.
 
 A version number would do for releases. Whoever changes a stage builds twice with the same
 version, though, and must not be given yesterday's tables.
@@ -14,10 +14,13 @@ from typing import Final
 from svprep import __version__
 
 _PARTS: Final = (
+    "clamp*.py",
     "content.py",
     "edges.py",
+    "hilbert.py",
     "model.py",
     "planes.py",
+    "scene_tree.py",
     "tiles.py",
     "cache/codec.py",
     "cache/runs.py",

@@ -43,7 +43,7 @@ def facts_of(hours: SunHours, cache: Cache) -> dict[str, Any]:
         "cache": cache.path.name,
         "cache content digest": hours.digest,
         "sources": _sources(cache),
-        "model extent x y z metres": extent_m(cache.mesh),
+        "model extent x y z metres": extent_m(cache.mesh.positions),
         "coordinate reference system": cache.crs or "not stated",
         "light": arc.spec,
         "latitude": arc.latitude_deg,

@@ -94,8 +94,12 @@ def empty_table(dtype: DTypeLike, shape: tuple[int, ...], spill: Spill | None) -
     if spill is None:
         return np.empty(shape, dtype)
     with _new_file(spill) as file:
+        n_bytes = int(np.prod(shape)) * np.dtype(dtype).itemsize
         try:
-            file.truncate(int(np.prod(shape)) * np.dtype(dtype).itemsize)
+            file.truncate(n_bytes)
+            if n_bytes and hasattr(os, "posix_fallocate"):
+                # On a full disk, storing into a hole of a mapped file would kill the process.
+                os.posix_fallocate(file.fileno(), 0, n_bytes)
         except OSError as error:
             raise _no_room(spill, error) from None
         return _mapped(file, np.dtype(dtype), shape)

@@ -16,7 +16,7 @@ from svprep.cache.codec import object_datasets
 from svprep.cache.reader import open_cache
 from svprep.cache.runs import PER_OBJECT, Joined, whole_run
 from svprep.content import source_digests
-from svprep.errors import CacheError
+from svprep.errors import CacheError, EnvironmentProblem
 from svprep.ingest import read
 from svprep.model import I64, SourceMesh
 from svprep.parallel import map_ordered
@@ -236,15 +236,23 @@ def test_another_grid_tolerance_or_light_is_built_anew(tmp_path: Path) -> None:
     source, cache = tmp_path / "town.obj", tmp_path / "town.svp.h5"
     built(written(town(), source), cache)
     config = BuildConfig(weld_tolerance_m=0.01)
-    assert build([source], cache, config).reused == 0
+    done = build([source], cache, config)
+    assert done.reused == 0
+    assert done.remarks == (
+        "nothing is taken over from the older cache: it was welded with another tolerance",
+    )
     assert build([source], cache).reused == 0
     assert build([source], cache).reused == 12
     other = build([source], cache, lights=["dir:10,20", SUN])
     full = build([source], tmp_path / "f.svp.h5", lights=["dir:10,20", SUN])
     assert other.cache.content_digest == full.cache.content_digest
+    assert build([source], cache).remarks == (
+        "2 lights are in the older cache only: name them again to keep them",
+    )
     # Ten times as wide: another step.
     written([*town(), box("far", (9000.0, 0.0))], source)
-    assert build([source], cache).reused == 0
+    (remark,) = build([source], cache).remarks
+    assert "the model's outermost box changed" in remark
 
 
 def test_a_cache_of_no_use_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,6 +302,14 @@ def test_an_object_over_the_budget_is_prepared_alone_and_said_so(
     (remark,) = done.remarks
     assert 'town.obj, object "hill": its 1,444 triangles are prepared alone' in remark
     assert not built(source, tmp_path / "b.svp.h5").remarks
+
+
+def test_a_temporary_folder_that_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "none"))
+    with pytest.raises(EnvironmentProblem, match="which is no folder"):
+        built(CITY, tmp_path / "a.svp.h5", memory_bytes=1 << 26)
 
 
 def test_stages_are_told_in_order_and_accounted_for(tmp_path: Path) -> None:
