@@ -44,6 +44,7 @@ _MOST_RECEIVERS = 2048
 """And two for each face of the caster: with more, it gets one segment, up to the last one.
 Thousands of sheets above each other would take a time that grows with their square."""
 
+# np.int64(0) where a counter goes to a helper: for a literal it would be compiled once more.
 _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
@@ -103,11 +104,11 @@ def _last_depth(blocks, level_start, n_levels, u0, u1, v0, v1, t0, stack):
         deepest, top = -np.inf, depth
         for k in range(8):
             if (
-                blocks[block, 0, k] > u1
-                or blocks[block, 1, k] < u0
-                or blocks[block, 2, k] > v1
-                or blocks[block, 3, k] < v0
-                or blocks[block, 4, k] <= best
+                (blocks[block, 0, k] > u1)
+                | (blocks[block, 1, k] < u0)
+                | (blocks[block, 2, k] > v1)
+                | (blocks[block, 3, k] < v0)
+                | (blocks[block, 4, k] <= best)
             ):
                 continue
             if level == 0:
@@ -241,12 +242,12 @@ def _deepest_of_faces(
             outside |= side
         if beyond:
             continue
-        n = 3
+        n = np.int64(3)
         if outside:
-            n = _cut(polygon, n, other, 0, 1.0, half_u)
-            n = _cut(other, n, polygon, 0, -1.0, half_u)
-            n = _cut(polygon, n, other, 1, 1.0, half_v)
-            n = _cut(other, n, polygon, 1, -1.0, half_v)
+            n = _cut(polygon, n, other, np.int64(0), 1.0, half_u)
+            n = _cut(other, n, polygon, np.int64(0), -1.0, half_u)
+            n = _cut(polygon, n, other, np.int64(1), 1.0, half_v)
+            n = _cut(other, n, polygon, np.int64(1), -1.0, half_v)
         for k in range(n):
             most = max(most, polygon[k, 2] - su * polygon[k, 0] - sv * polygon[k, 1])
     return most + pad * (1.0 + abs(su) + abs(sv))
@@ -320,7 +321,7 @@ def clamp_casters(
         n_found = _receivers(
             blocks, level_start, n_levels, u0, u1, v0, v1, np.float32(front), most, stack, found
         )
-        n = 0
+        n = np.int64(0)
         if n_found > most:
             n_found = 0
             last_depth = _last_depth(
@@ -336,7 +337,7 @@ def clamp_casters(
                 n += 1
         _sort(begin, end, found, n)
         cost_of_split = costs[0] * 6.0 * (face_start[c + 1] - face_start[c])
-        n_segments, i, reach = 0, 0, back
+        n_segments, i, reach = 0, np.int64(0), back
         while True:
             start = i
             while i < n:

@@ -80,6 +80,7 @@ def group_half_edges(faces, face_start, vertex_begin, vertex_end, begin, end, or
 
 
 # Called from kernels of this file only: without wrappers it compiles in half the time.
+# np.int64(0) where a counter goes to a helper: for a literal it would be compiled once more.
 _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
@@ -225,12 +226,12 @@ def pair_half_edges(
     n_turns = min(most, 2)  # always 2 where it counts; a constant would compile twice the code
     key = np.empty(most, np.float64)
     opens = np.empty(most, np.bool_)
-    third = np.empty((most, 3), np.int32)
+    third = np.empty((most, 3), np.float64)  # grid integers; of the type of `normal`
     half_edge = np.empty(most, np.int32)
-    index = np.empty(most, np.int32)
-    around = np.empty(most, np.int32)
-    scratch = np.empty(most, np.int32)
-    stack = np.empty(most, np.int32)
+    index = np.empty(most, np.int64)
+    around = np.empty(most, np.int64)
+    scratch = np.empty(most, np.int64)
+    stack = np.empty(most, np.int64)
     normal = np.empty((most, 3), np.float64)
     u = np.empty(3, np.float64)
     w = np.empty(3, np.float64)
@@ -264,13 +265,13 @@ def pair_half_edges(
             )
             length += u[axis] * u[axis]
         length = math.sqrt(length)
-        first = 0
+        first = np.int64(0)
         for i in range(k):
             h = half_edge[i]
             apex = faces[h // 3, (h % 3 + 2) % 3]
             for axis in range(3):
                 third[i, axis] = grid_positions[apex, axis]
-                w[axis] = np.float64(third[i, axis]) - np.float64(grid_positions[tail, axis])
+                w[axis] = third[i, axis] - np.float64(grid_positions[tail, axis])
             normal[i, 0] = u[1] * w[2] - u[2] * w[1]
             normal[i, 1] = u[2] * w[0] - u[0] * w[2]
             normal[i, 2] = u[0] * w[1] - u[1] * w[0]
@@ -303,7 +304,7 @@ def pair_half_edges(
                     previous = angle
                     key[index[j]] = direction
         for turn in range(n_turns):
-            n = 0
+            n = np.int64(0)
             for j in range(k):
                 h = half_edge[index[j]]
                 if mate[h] < 0 and (turn == 1 or not is_loose[h // 3]):

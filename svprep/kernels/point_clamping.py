@@ -28,6 +28,7 @@ _STACK = 1024
 _KEPT_AT_FIRST = 4096
 _INF = np.inf
 
+# np.int64(1) where a counter goes to a helper: for a literal it would be compiled once more.
 _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
@@ -80,12 +81,12 @@ def _add_face(positions, corners, f, light, polygon, other, bounds):
             beyond &= (a > m) | ((a < -m) << 1) | ((b > m) << 2) | ((b < -m) << 3)
         if beyond:
             continue
-        n = 3
+        n = np.int64(3)
         if not is_within:
-            n = _cut(polygon, n, other[3:], 0, 1.0)
-            n = _cut(other[3:], n, polygon, 0, -1.0)
-            n = _cut(polygon, n, other[3:], 1, 1.0)
-            n = _cut(other[3:], n, polygon, 1, -1.0)
+            n = _cut(polygon, n, other[3:], np.int64(0), 1.0)
+            n = _cut(other[3:], n, polygon, np.int64(0), -1.0)
+            n = _cut(polygon, n, other[3:], np.int64(1), 1.0)
+            n = _cut(other[3:], n, polygon, np.int64(1), -1.0)
         for k in range(n):
             m = polygon[k, 2]
             bounds[view, 4], bounds[view, 5] = min(bounds[view, 4], m), max(bounds[view, 5], m)
@@ -155,7 +156,7 @@ def bound_clusters_in_views(
     for i in range(first, last):
         _begin(bounds)
         for f in range(start[i], start[i + 1]):
-            _add_face(positions, faces, order[f], light, polygon, other, bounds)
+            _add_face(positions, faces, np.int64(order[f]), light, polygon, other, bounds)
         for view in range(6):
             _finish(bounds, view, pad)
             for r in range(4):
@@ -300,7 +301,7 @@ def clamp_casters_in_views(
         distance = max(math.sqrt(distance2), radius)
         # The first interval: the caster itself.
         near[0], far[0] = 0.0, 0.0
-        n = 1
+        n = np.int64(1)
         for piece in range(begin, end, _PIECE):
             _begin(bounds)
             for f in range(piece, min(piece + _PIECE, end)):

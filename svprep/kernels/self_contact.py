@@ -250,12 +250,10 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
             for axis in range(3):
                 box[i, axis] = min(points[a, axis], points[b, axis], points[c, axis])
                 box[i, axis + 3] = max(points[a, axis], points[b, axis], points[c, axis])
-            ux, wx = points[b, 0] - points[a, 0], points[c, 0] - points[a, 0]
-            uy, wy = points[b, 1] - points[a, 1], points[c, 1] - points[a, 1]
-            uz, wz = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
-            normal[i, 0] = uy * wz - uz * wy
-            normal[i, 1] = uz * wx - ux * wz
-            normal[i, 2] = ux * wy - uy * wx
+                y, z = (axis + 1) % 3, (axis + 2) % 3
+                uy, wy = points[b, y] - points[a, y], points[c, y] - points[a, y]
+                uz, wz = points[b, z] - points[a, z], points[c, z] - points[a, z]
+                normal[i, axis] = uy * wz - uz * wy
         # Build: node 0 is the root, children are neighbours.
         node_range[0, 0] = 0
         node_range[0, 1] = n

@@ -91,7 +91,7 @@ def order_pairs(keys, ids, start, first, last):
                     for d in range(dims):
                         low[d] = min(low[d], keys[i, d])
                         high[d] = max(high[d], keys[i, d])
-                axis = 0
+                axis = np.int64(0)  # for a literal `_select` would be compiled once more
                 for d in range(1, dims):
                     if high[d] - low[d] > high[axis] - low[axis]:
                         axis = d
@@ -263,7 +263,8 @@ def _write_cone(planes, refs, ends, positions, frames, t, begin, end, tolerance,
     radius2, sine2 = 0.0, 0.0
     for i in range(begin, end):
         x, y, z = _middle(positions, ends, i, frames, t)
-        radius2 = max(radius2, (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2)
+        x, y, z = x - cx, y - cy, z - cz
+        radius2 = max(radius2, x * x + y * y + z * z)
         for side in range(2):
             x, y, z, _ = _dual(planes, refs[i, side], frames, t)
             a, b, c = ny * z - nz * y, nz * x - nx * z, nx * y - ny * x
