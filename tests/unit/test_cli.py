@@ -227,6 +227,8 @@ def test_interrupted_ends_in_130_and_leaves_the_older_cache(tmp_path: Path) -> N
     slow = (
         "import os, signal, threading\n"
         "from svprep import cli, tiles\n"
+        # Ignored from the start in a shell's background.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def weld(*args):\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    threading.Event().wait(10)\n"
