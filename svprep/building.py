@@ -208,7 +208,7 @@ def read_and_compare(
                 digests = source_digests(source)
                 before = objects_before(found, digests, grid, config.weld_tolerance_m)
         except OfNoUse as why:
-            of_no_use = str(why)
+            found, of_no_use = None, str(why)  # its tables are held no longer
     most_faces = FACES if room is None else room.faces_per_tile
     tolerance_m = config.weld_tolerance_m
     return Plan(source, grid, tolerance_m, found, before, most_faces, room, of_no_use)

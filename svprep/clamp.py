@@ -22,6 +22,7 @@ from svprep.clamp_views import ClampScene, LampView, SunView
 from svprep.errors import InputError, first_few
 from svprep.light import Light
 from svprep.model import F32, F64, ClampTable, Components, Grid, Mesh, SceneTree
+from svprep.ranges import rows_of_runs
 from svprep.silhouette.tables import check_mesh, check_starts, contradiction, read_only
 
 LightHook = Callable[[int, int], None]
@@ -154,15 +155,13 @@ def selected(table: ClampTable, lights: Sequence[int]) -> ClampTable:
     """Return only some lights of a table, in the order given."""
     check_starts("lights/segment_start", table.light_start, len(table.depths))
     chosen = np.array(lights, np.int64)
-    begin, end = table.light_start[chosen], table.light_start[chosen + 1]
-    rows = [np.arange(a, b) for a, b in zip(begin.tolist(), end.tolist(), strict=True)]
-    segments = np.concatenate([np.empty(0, np.int64), *rows])
+    segments, light_start = rows_of_runs(table.light_start, chosen)
     return ClampTable(
         specs=tuple(table.specs[i] for i in lights),
         lights=table.lights[chosen],
         frames=table.frames[chosen],
         facts=table.facts[chosen],
-        light_start=np.concatenate(([0], np.cumsum(end - begin))),
+        light_start=light_start,
         segment_start=table.segment_start[chosen],
         depths=table.depths[segments],
         slopes=table.slopes[segments],

@@ -20,6 +20,7 @@ import numpy as np
 from svprep.clamp_views import ClampScene, LampView, Segments, SunView
 from svprep.hilbert import BITS, hilbert_keys
 from svprep.model import BOOL, F32, F64, I64, ClampTable, Components, SceneTree
+from svprep.ranges import rows_of_runs
 from svprep.scene_tree import LEAF
 from svprep.silhouette.tables import read_only
 
@@ -86,7 +87,7 @@ def _met(view: SunView | LampView, groups: F32, components: Components, tree: Sc
     has_faces = np.flatnonzero(tree.object_boxes[:, 0] <= tree.object_boxes[:, 3])
     objects = _rectangles(view, tree.object_boxes[has_faces], views, is_caster=True)
     is_near = _overlaps(objects, rectangles[views]).any(axis=1)
-    casters, _ = _runs(components.object_start, has_faces[is_near])
+    casters, _ = rows_of_runs(components.object_start, has_faces[is_near])
     part = _seen(view, _part(view.scene, casters, np.zeros(0, np.int64)))
     met[casters] = _overlaps(_of_casters(part, views), rectangles[views])
     return met
@@ -122,8 +123,8 @@ def _seen(view: SunView | LampView, scene: ClampScene) -> SunView | LampView:
 
 def _part(scene: ClampScene, casters: I64, clusters: I64) -> ClampScene:
     """Return some casters and clusters, in their order, each face with its own corners."""
-    of_casters, start = _runs(scene.face_start, casters)
-    rows, cluster_start = _runs(scene.cluster_start, clusters)
+    of_casters, start = rows_of_runs(scene.face_start, casters)
+    rows, cluster_start = rows_of_runs(scene.cluster_start, clusters)
     faces = np.concatenate([of_casters, scene.order[rows].astype(np.int64)])
     order = np.arange(len(of_casters), len(faces), dtype=np.uint32)
     return ClampScene(
@@ -145,21 +146,12 @@ def _merged(
     starts = np.concatenate([before, end - first + np.cumsum(computed.counts, dtype=np.int64)])
     source = caster_before.copy()
     source[again] = len(before) - 1 + np.arange(len(again))
-    rows, start = _runs(starts, source)
+    rows, start = rows_of_runs(starts, source)
     return Segments(
         counts=np.diff(start).astype(np.uint32),
         depths=np.concatenate([table.depths[first:end], computed.depths]).take(rows, axis=0),
         slopes=np.concatenate([table.slopes[first:end], computed.slopes]).take(rows, axis=0),
     )
-
-
-def _runs(start: I64, chosen: I64) -> tuple[I64, I64]:
-    """Return the rows ``start[i] .. start[i + 1] - 1`` of chosen i, and where each i's begin."""
-    sizes = start[chosen + 1] - start[chosen]
-    new_start = np.concatenate(([0], np.cumsum(sizes)))
-    rows = np.repeat(start[chosen] - new_start[:-1], sizes)
-    rows += np.arange(len(rows))
-    return rows, new_start
 
 
 def _grouped(boxes: F32) -> F32:

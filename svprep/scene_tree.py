@@ -21,6 +21,7 @@ from svprep.kernels.light_boxes import bound_casters
 from svprep.kernels.tree_build import order_pairs
 from svprep.model import F32, I64, U32, U64, Mesh, SceneTree
 from svprep.parallel import for_ranges, for_shares
+from svprep.ranges import rows_of_runs
 from svprep.silhouette.tables import read_only
 
 LEAF: Final = 8
@@ -247,10 +248,7 @@ def _updated_nodes(mesh: Mesh, previous: SceneTree, faces: U32, start: I64, orde
 
 def _objects_alone(mesh: Mesh, objects: I64) -> tuple[U32, Mesh]:
     """Return the numbers of some objects' faces, and a mesh of them over all vertices."""
-    start, sizes = mesh.object_face_start, np.diff(mesh.object_face_start)
-    new_start = np.concatenate(([0], np.cumsum(sizes[objects])))
-    rows = np.repeat(start[:-1][objects] - new_start[:-1], sizes[objects])
-    rows += np.arange(len(rows))
+    rows, new_start = rows_of_runs(mesh.object_face_start, objects)
     alone = Mesh(
         grid=mesh.grid,
         positions=mesh.positions,

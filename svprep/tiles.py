@@ -22,6 +22,7 @@ from svprep.content import source_digests
 from svprep.edges import build_edges
 from svprep.model import I64, FaceFindings, Grid, ObjectTables, SourceMesh
 from svprep.planes import build_planes
+from svprep.ranges import rows_of_runs
 from svprep.repair.stage import record, repair
 from svprep.repair.weld import weld
 from svprep.scene_tree import LocalClusters, local_clusters
@@ -80,9 +81,7 @@ def cut(face_start: I64, most_faces: int = FACES) -> list[tuple[int, int]]:
 
 def selected_objects(source: SourceMesh, objects: I64) -> SourceMesh:
     """Return some objects of a mesh, ascending, over all of its vertices."""
-    start, sizes = source.object_face_start, np.diff(source.object_face_start)[objects]
-    new_start = np.concatenate(([0], np.cumsum(sizes)))
-    rows = np.repeat(start[objects] - new_start[:-1], sizes) + np.arange(new_start[-1])
+    rows, new_start = rows_of_runs(source.object_face_start, objects)
     found = source.face_findings
     at = np.searchsorted(objects, found.object_index)
     own = np.flatnonzero(np.isin(found.object_index, objects))

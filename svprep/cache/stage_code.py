@@ -20,6 +20,7 @@ _PARTS: Final = (
     "hilbert.py",
     "model.py",
     "planes.py",
+    "ranges.py",
     "scene_tree.py",
     "tiles.py",
     "cache/codec.py",
