@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 import time
@@ -15,8 +14,8 @@ from typing import Any
 import pytest
 
 from svprep.pipeline import build
+from tests.unit.scripts import SCRIPTS, load_script
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 OBJ = """\
 o terrain_0
 v 0 0 0
@@ -39,14 +38,7 @@ f 1 2 7
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The script as a module of its own, as ``python3 scripts/NAME.py`` finds it."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    path = SCRIPTS / "benchmark_build.py"
-    spec = importlib.util.spec_from_file_location("svprep_script_benchmark_build", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("benchmark_build", monkeypatch)
 
 
 @pytest.fixture

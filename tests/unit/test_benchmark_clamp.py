@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -14,22 +12,15 @@ from svprep.clamp import ClampCosts, clamp_lights
 from svprep.light import parse_light
 from svprep.model import Prepared
 from tests.unit.hours_scenes import city, level
+from tests.unit.scripts import load_script
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 PLATE_M = 10.0
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The script as a module of its own, as ``python3 scripts/NAME.py`` finds it."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    path = SCRIPTS / "benchmark_clamp.py"
-    spec = importlib.util.spec_from_file_location("svprep_script_benchmark_clamp", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("benchmark_clamp", monkeypatch)
 
 
 @pytest.fixture

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -21,22 +19,15 @@ from svprep_runtime.scene import Scene
 from svprep_runtime.targets import Targets
 from tests.property.meshes import side_by_side
 from tests.unit.hours_scenes import level
+from tests.unit.scripts import load_script
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 SUN = "dir:90,45"
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The script as a module of its own, as ``python3 scripts/NAME.py`` finds it."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    path = SCRIPTS / "benchmark_render.py"
-    spec = importlib.util.spec_from_file_location("svprep_script_benchmark_render", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("benchmark_render", monkeypatch)
 
 
 @pytest.fixture(scope="module")

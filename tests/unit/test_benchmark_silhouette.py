@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 from types import ModuleType
@@ -14,23 +13,16 @@ import pytest
 from svprep.cache.reader import open_cache
 from svprep.pipeline import build
 from svprep.silhouette import METHODS, silhouette
+from tests.unit.scripts import load_script
 
 ROOT = Path(__file__).resolve().parents[2]
-SCRIPTS = ROOT / "scripts"
 BASELINES = ("(a) NumPy flat", "(b) Numba, 1 thread")
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The script as a module of its own, as ``python3 scripts/NAME.py`` finds it."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    path = SCRIPTS / "benchmark_silhouette.py"
-    spec = importlib.util.spec_from_file_location("svprep_script_benchmark_silhouette", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("benchmark_silhouette", monkeypatch)
 
 
 def test_quick_run_reports_every_method(

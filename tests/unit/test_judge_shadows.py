@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections import Counter
 from dataclasses import replace
@@ -14,26 +13,19 @@ import pytest
 
 from svprep.cache.reader import open_cache
 from svprep.pipeline import build
+from tests.unit.scripts import load_script
 
 pytest.importorskip("moderngl", reason="judging needs the extra view: OpenGL")
 pytest.importorskip("embreex", reason="judging needs the extra judge: rays")
 
 ROOT = Path(__file__).resolve().parents[2]
-SCRIPTS = ROOT / "scripts"
 SMALL = ["--small", "--size", "64x48"]
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The script as a module of its own, as ``python3 scripts/NAME.py`` finds it."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    path = SCRIPTS / "judge_shadows.py"
-    spec = importlib.util.spec_from_file_location("svprep_script_judge_shadows", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("judge_shadows", monkeypatch)
 
 
 @pytest.fixture

@@ -19,23 +19,12 @@ from typing import Any
 
 import pytest
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-
-
-def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Import a script as a module of its own, as ``python3 scripts/NAME.py`` finds it."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    spec = importlib.util.spec_from_file_location(f"svprep_script_{name}", SCRIPTS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from tests.unit.scripts import SCRIPTS, load_script
 
 
 @pytest.fixture
 def setup(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return load("_setup", monkeypatch)
+    return load_script("_setup", monkeypatch)
 
 
 class FakeMachine:
@@ -304,7 +293,7 @@ def test_a_system_without_apt_get_is_told_so(
 def test_missing_opengl_never_stops_the_tests(
     machine: FakeMachine, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    script = load("test", monkeypatch)
+    script = load_script("test", monkeypatch)
     monkeypatch.setattr(script, "missing_opengl", lambda: ["libegl1"])
 
     def fail(packages: list[str], why: str) -> None:
@@ -366,7 +355,7 @@ def test_help_does_nothing_but_help(script: str) -> None:
 def test_a_failing_svprep_is_one_line_with_its_last_words(
     setup: ModuleType, machine: FakeMachine, environment: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = load("quickstart", monkeypatch)
+    script = load_script("quickstart", monkeypatch)
 
     def fail(command: list[Any], **_: object) -> SimpleNamespace:
         return SimpleNamespace(returncode=1, stdout="", stderr="reading\nD302 OPEN_SHELL: x\n")
