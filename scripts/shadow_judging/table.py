@@ -248,6 +248,10 @@ def _pixels(report: Report) -> Iterator[str]:
     seen = {(one.dataset, one.shot.view, one.shot.light): one for one in rows}
     if seen:
         yield ""
+        yield "Why, in float64 over all faces (`scripts/shadow_judging/cause.py`):"
+        yield ""
+        yield from _causes(rows)
+        yield ""
         yield "Their cameras (`--camera`, input coordinates) and lights:"
         yield ""
         for one in seen.values():
@@ -256,6 +260,15 @@ def _pixels(report: Report) -> Iterator[str]:
                 f"- {one.dataset}, {one.shot.view}, {one.shot.light}: `{one.camera_spec}`{near}; "
                 f"`{one.light_spec}`"
             )
+
+
+def _causes(rows: Sequence[Result]) -> Iterator[str]:
+    """Yield a line for each pixel of a view and a light, and each cause of it."""
+    told: dict[str, None] = {}
+    for one in rows:
+        for (x, y, _), cause in zip(one.differing, one.causes, strict=False):
+            told[f"- {one.dataset}, {one.shot.view}, {one.shot.light}, {x}, {y}: {cause}."] = None
+    yield from told
 
 
 def _pixel_rows(results: Sequence[Result]) -> list[list[str]]:

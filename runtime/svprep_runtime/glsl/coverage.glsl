@@ -23,7 +23,7 @@ const vec4 NOWHERE = vec4(2, 2, 0, 1);
 // How far inside of the edge from a to b (eye-relative, w = 0 at infinity) a pixel lies.
 dvec3 line_of_edge(dvec3 a, dvec3 b, double turn) {
     precise dvec3 m = dvec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
-    dvec3 corner = ray_of_sample(), right = dvec3(ray_right), up = dvec3(ray_up);
+    dvec3 corner = ray_of_sample(), right = ray_right, up = ray_up;
     precise dvec3 line = turn * dvec3(m.x * corner.x + m.y * corner.y + m.z * corner.z,
                                       m.x * right.x + m.y * right.y + m.z * right.z,
                                       m.x * up.x + m.y * up.y + m.z * up.z);

@@ -6,10 +6,10 @@
 // q . v = w of each corner (1; at infinity 0), is solved in float64: along a ray of view
 // depth 1, 1 / depth = q . ray, which is linear in the picture.
 
-uniform vec3 ray_corner;  // of view depth 1: to the lower left corner of the picture,
-uniform vec3 ray_right;   // and what a pixel to the right or up adds
-uniform vec3 ray_up;
-uniform vec2 offset_px;   // by which the picture is shifted for this sample
+uniform dvec3 ray_corner;  // of view depth 1: to the lower left corner of the picture,
+uniform dvec3 ray_right;   // and what a pixel to the right or up adds. In float32 they would
+uniform dvec3 ray_up;      // move centres by up to 0.0001 pixel, off a face's edge
+uniform vec2 offset_px;    // by which the picture is shifted for this sample
 
 #ifdef WRITES_PLANE
 flat out dvec3 depth_plane;  // reversed depth = x + y column + z row
@@ -21,8 +21,7 @@ dvec3 from_eye(vec4 p) {
 
 // Of view depth 1: to the lower left corner of the picture, as this sample is shifted.
 dvec3 ray_of_sample() {
-    return dvec3(ray_corner) - double(offset_px.x) * dvec3(ray_right)
-           - double(offset_px.y) * dvec3(ray_up);
+    return ray_corner - double(offset_px.x) * ray_right - double(offset_px.y) * ray_up;
 }
 
 // The eye lies in the plane of these points: a face that is seen so shows no point, though a
@@ -53,8 +52,7 @@ void set_depth_plane(vec4 a, vec4 b, vec4 c) {
     depth_plane = dvec3(depth_range.y, 0.0, 0.0);
     if (volume == 0.0) return;
     q *= double(near_m) / volume;
-    depth_plane = dvec3(dot(q, ray_of_sample()), dot(q, dvec3(ray_right)),
-                        dot(q, dvec3(ray_up)));
+    depth_plane = dvec3(dot(q, ray_of_sample()), dot(q, ray_right), dot(q, ray_up));
 }
 #else
 flat in dvec3 depth_plane;

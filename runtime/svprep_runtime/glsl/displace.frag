@@ -8,9 +8,9 @@ layout(binding = 0) uniform usampler2D seen_of_pixel;
 uniform vec3 eye;
 uniform vec3 row_forward;
 uniform float near_m;
-uniform vec3 ray_corner;   // of view depth 1: to the lower left corner of the picture,
-uniform vec3 ray_right;    // and what a pixel to the right or up adds
-uniform vec3 ray_up;
+uniform dvec3 ray_corner;  // of view depth 1: to the lower left corner of the picture,
+uniform dvec3 ray_right;   // and what a pixel to the right or up adds
+uniform dvec3 ray_up;
 uniform vec2 offset_px;    // by which the picture is shifted for this sample
 uniform float lift_px;     // displacement, in pixels at the depth of X,
 uniform float least_lift_m;
@@ -32,13 +32,13 @@ void main() {
     dvec3 a = from_eye(face, 0u), b = from_eye(face, 1u), c = from_eye(face, 2u);
     dvec3 n = cross(b - a, c - a);
     vec2 at = gl_FragCoord.xy - offset_px;
-    dvec3 ray = dvec3(ray_corner) + double(at.x) * dvec3(ray_right) + double(at.y) * dvec3(ray_up);
+    dvec3 ray = ray_corner + double(at.x) * ray_right + double(at.y) * ray_up;
     dvec3 forward = dvec3(row_forward);
     double da = dot(a, forward), db = dot(b, forward), dc = dot(c, forward);
     double slope = abs(dot(n, ray));
     double depth = slope > 0.0 ? abs(dot(n, a)) / slope : da;
     depth = clamp(depth, min(da, min(db, dc)), max(da, max(db, dc)));
-    double lift = clamp(double(lift_px) * length(dvec3(ray_right)) * depth,
+    double lift = clamp(double(lift_px) * length(ray_right) * depth,
                         double(least_lift_m), double(most_lift_m));
     double length_n = length(n), length_ray = length(ray);
     double slant = slope * double(most_slant) > length_n * length_ray ? length_n / slope
