@@ -309,27 +309,31 @@ def half_edges_of_rows(corners: Raw, rows: U32) -> Raw:
     Half-edge ``3 f + i`` runs from corner i of face f to the next; `NO_INDEX`
     where the record has no face. O(n).
     """
-    faces = corners.reshape(-1, 3)
+    corners = np.ravel(corners)
     half = np.full((len(rows), 2), NO_INDEX, "<u4")
     for side, (start, end) in enumerate(((0, 1), (1, 0))):
-        has_face = rows[:, 2 + side] != NO_INDEX
-        face = rows[has_face, 2 + side]
-        if len(face) and int(face.max()) >= len(faces):
+        face = rows[:, 2 + side]
+        is_side = face != NO_INDEX
+        has_face = slice(None) if is_side.all() else is_side
+        face, first, last = face[has_face], rows[has_face, start], rows[has_face, end]
+        if len(face) and int(face.max()) >= len(corners) // 3:
             raise InternalError("edges.rows refers to faces that do not exist")
-        first, last = rows[has_face, start], rows[has_face, end]
-        corner = np.zeros(len(face), np.uint32)
-        found = np.zeros(len(face), np.bool_)
-        for i in range(3):
-            here = (faces[face, i] == first) & (faces[face, (i + 1) % 3] == last)
-            corner[here] = i
-            found |= here
-        if not found.all():
-            bad = np.flatnonzero(has_face)[~found]
+        found = np.uint32(3) * face
+        is_later = corners.take(found) != first
+        found += is_later
+        is_last = is_later & (corners.take(found) != first)
+        found += is_last
+        follows = found + np.uint32(1)
+        follows[is_last] -= np.uint32(3)
+        fits = corners.take(follows) == last
+        fits &= ~is_last | (corners.take(found) == first)
+        if not fits.all():
+            bad = np.flatnonzero(is_side)[~fits]
             raise InternalError(
                 f"edge records {first_few(bad)}: their {('left', 'right')[side]} face does not "
                 f"traverse {('v0 -> v1', 'v1 -> v0')[side]}"
             )
-        half[has_face, side] = 3 * face + corner
+        half[has_face, side] = found
     return half
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,14 @@ from svprep.ingest.filters import filtered
 from svprep.ingest.inputs import TILESET, expanded, is_tileset, suffix_of_model
 from svprep.ingest.notes import merged_notes
 from svprep.ingest.options import HIGHEST, ReadOptions
-from svprep.ingest.parsed import ParsedFile, Report, bytes_of_tables, encodable, in_files
+from svprep.ingest.parsed import (
+    ParsedFile,
+    Report,
+    all_encodable,
+    bytes_of_tables,
+    encodable,
+    in_files,
+)
 from svprep.ingest.spill import Array, Spill, empty_table, release, row_blocks
 from svprep.ingest.surface_names import SurfaceNames
 from svprep.model import U8, U32, FaceFindings, Place, SourceFile, SourceMesh
@@ -328,7 +336,7 @@ def _concatenate(
         ),
         object_face_start=np.concatenate([[0], np.cumsum(face_counts)]).astype(np.int64),
         source_face=_joined([p.source_face for p in parsed], spill),
-        object_names=tuple(encodable(name) for p in parsed for name in p.object_names),
+        object_names=all_encodable(chain.from_iterable(p.object_names for p in parsed)),
         object_source=np.repeat(np.arange(len(parsed), dtype=np.uint32), n_objects),
         sources=tuple(sources),
         face_findings=_by_object(findings, first_object),
@@ -364,7 +372,7 @@ def _by_object(findings: list[FaceFindings], first_object: U32) -> FaceFindings:
 def _stated(texts: list[tuple[str, ...]], n_objects: list[int]) -> tuple[str, ...]:
     """Return a text per object, "" for those of files that state none."""
     filled = (t or ("",) * n for t, n in zip(texts, n_objects, strict=True))
-    return tuple(encodable(text) for texts in filled for text in texts)
+    return all_encodable(chain.from_iterable(filled))
 
 
 def _joined_names(parsed: list[ParsedFile]) -> tuple[tuple[str, ...], list[U8]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svprep.errors import InputError
-from svprep.ingest.parsed import ParsedFile, encodable, no_findings, refuse_non_finite
+from svprep.ingest.parsed import ParsedFile, all_encodable, no_findings, refuse_non_finite
 from svprep.ingest.surface_names import SurfaceNames
 from svprep.model import F64, I64, U32
 
@@ -164,13 +164,13 @@ class Gathered:
             faces,
             np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
             source_face,
-            tuple(encodable(owner.name) for owner in self._owners),
+            all_encodable(owner.name for owner in self._owners),
             no_findings(),
             notes,
             beside,
             _stated([owner.type for owner in self._owners]),
             _stated([owner.parent for owner in self._owners]),
-            tuple(map(encodable, names)),
+            all_encodable(names),
             surfaces,
         )
 
@@ -192,4 +192,4 @@ def _placed(points: F64, matrices: F64) -> F64:
 
 def _stated(texts: list[str]) -> tuple[str, ...]:
     """Return a text per object, or none at all where none is stated of any."""
-    return tuple(map(encodable, texts)) if any(texts) else ()
+    return all_encodable(texts) if any(texts) else ()

@@ -6,8 +6,9 @@ The rule by which names make objects stands in `svprep.ingest.obj`.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from itertools import compress
+from itertools import chain, compress
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,8 @@ _SILENT = frozenset(
     ]
 )
 _CONTINUATION = re.compile(rb"\\[ \t\v\f]*(?:\r\n|\n|\r)")
+_UNUSUAL = re.compile(rb"[^ -\[\]-~\n]|  ")
+"""In names: what is not visible ASCII or a single blank, and a backslash."""
 
 
 def decode(text: bytes) -> str:
@@ -106,7 +109,7 @@ def statements_of(data: U8, rows: I64) -> Statements:
     is_name = is_object | (rows[:, 0] == ord("g"))
     text = data.data
     begin, end = rows[is_name, 1].tolist(), rows[is_name, 2].tolist()
-    names = [_name(bytes(text[i:j])) for i, j in zip(begin, end, strict=True)]
+    names = _names([bytes(text[i:j]) for i, j in zip(begin, end, strict=True)])
     others = rows[~is_name]
     _, first, counts = np.unique(others[:, 0], return_index=True, return_counts=True)
     keywords = {}
@@ -114,6 +117,14 @@ def statements_of(data: U8, rows: I64) -> Statements:
         key, i, j, _, line = others[row].tolist()
         keywords[key] = Keyword(n, bytes(text[i:j]), line)
     return Statements(names, is_object[is_name].tolist(), rows[is_name, 3].tolist(), keywords)
+
+
+def _names(texts: list[bytes]) -> list[bytes]:
+    """Return `_name` of each text; of usual ones all at once."""
+    together = b"\n".join(texts)
+    if not texts or _UNUSUAL.search(together):
+        return list(map(_name, texts))
+    return [text.strip() or b"default" for text in together.split(b"\n")]
 
 
 def _name(text: bytes) -> bytes:
@@ -127,6 +138,16 @@ def _name(text: bytes) -> bytes:
 def _readable(name: bytes) -> str:
     text = decode(name)
     return text if text.isprintable() else " ".join(text.split())
+
+
+def _all_readable(names: Collection[bytes]) -> tuple[str, ...]:
+    """Return `_readable` of each name; of ASCII ones all at once."""
+    together = b"\n".join(names)
+    if together.isascii():
+        texts = together.decode().split("\n")
+        if len(texts) == len(names) and "".join(texts).isprintable():
+            return tuple(texts)
+    return tuple(map(_readable, names))
 
 
 class Objects(NamedTuple):
@@ -154,27 +175,27 @@ def objects_of(said: Statements, n_polygons: int, stem: str) -> Objects:
     if has_objects and len(set(of_object)) == 1 and len(set(of_group) - {b"default"}) >= 2:
         before, polygon, parts = stem_name, said.polygon, _groups_of_one_object(said, stem_name)
         words = [p[0] if w == b"default" else w for p, w in zip(parts, said.names, strict=True)]
+        wholes = list(map(b"/".join, parts))
     else:
-        words = of_object if has_objects else of_group
+        wholes = words = of_object if has_objects else of_group
         at = zip(said.polygon, said.is_object, strict=True)
         polygon = [first for first, is_object in at if is_object is has_objects]
-        parts = [(name,) for name in words]
-        before = b"default" if words and not has_objects else stem_name
+        before, parts = b"default" if words and not has_objects else stem_name, None
     start = np.array([0, *polygon, n_polygons], np.int64)
     is_full = np.diff(start) > 0
-    names: dict[bytes, int] = {}
-    filled: set[bytes] = set()
-    objects = []
-    for full in compress([(before,), *parts], is_full.tolist()):
-        objects.append(names.setdefault(b"/".join(full), len(names)))
-        filled.update(full)
-    empty = {w: b"/".join(p) for w, p in zip(words, parts, strict=True) if w not in filled}
+    of_run = list(compress([before, *wholes], is_full.tolist()))
+    names = {name: number for number, name in enumerate(dict.fromkeys(of_run))}
+    objects = np.fromiter(map(names.__getitem__, of_run), np.int64, len(of_run))
+    filled = set(of_run)
+    if parts is not None:
+        filled = set(chain.from_iterable(compress([(before,), *parts], is_full.tolist())))
+    empty = {w: whole for w, whole in zip(words, wholes, strict=True) if w not in filled}
     notes = []
     if empty:
         listed = first_few([f'"{shown(_readable(name))}"' for name in empty.values()])
         notes.append(f"{count_of(len(empty), 'object')} without faces left out: {listed}")
     run_start = np.append(start[:-1][is_full], n_polygons)
-    return Objects(tuple(map(_readable, names)), run_start, np.array(objects, np.int64), notes)
+    return Objects(_all_readable(names), run_start, objects, notes)
 
 
 def _groups_of_one_object(said: Statements, stem: bytes) -> list[tuple[bytes, ...]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -99,6 +99,15 @@ def count_of(n: int, singular: str, plural: str = "") -> str:
 def encodable(name: str) -> str:
     """Return a name that UTF-8 and HDF5 can hold: U+FFFD for lone surrogates and NUL."""
     return _UNENCODABLE.sub("\ufffd", name)
+
+
+def all_encodable(names: Iterable[str]) -> tuple[str, ...]:
+    """Return `encodable` of each name; of ASCII ones all at once."""
+    names = tuple(names)
+    together = "".join(names)
+    if together.isascii() and "\0" not in together:
+        return names
+    return tuple(map(encodable, names))
 
 
 def shown(value: object) -> str:

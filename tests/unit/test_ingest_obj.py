@@ -9,7 +9,8 @@ import pytest
 
 from svprep.defects import Code
 from svprep.errors import InputError
-from svprep.ingest import obj, read
+from svprep.ingest import obj, obj_statements, read
+from svprep.ingest.parsed import all_encodable
 from svprep.model import SourceMesh
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -351,3 +352,23 @@ def test_very_long_names_are_shortened_in_notes_only(write):
     mesh = read([write(f"{SQUARE}o {name}\nf 1 2 3\no {name}x\n")])
     assert mesh.object_names == (name,)
     assert mesh.notes == (f'house.obj: 1 object without faces left out: "{"n" * 197}..."',)
+
+
+UNUSUAL = (b" a", b"a  b", b" \\\n b", b"\x1c", b"", b"   ", b"default", b"\xff", b"\x1ca", b"a\tb")
+
+
+@pytest.mark.parametrize("unusual", ["none", *UNUSUAL], ids=repr)
+def test_names_taken_together_are_those_taken_one_by_one(unusual):
+    texts = [b" house 1", b"", b"b", *([] if unusual == "none" else [unusual]), b" a/b "]
+    names = obj_statements._names(texts)
+    assert names == list(map(obj_statements._name, texts))
+    for several in (names, [*names, b"two\nlines"], []):
+        readable = obj_statements._all_readable(several)
+        assert readable == tuple(map(obj_statements._readable, several))
+
+
+def test_names_that_cannot_be_kept_are_found_among_others():
+    texts = ("a", "", "b\0", "c\ud800", "é")
+    assert all_encodable(texts) == ("a", "", "b\ufffd", "c\ufffd", "é")
+    assert all_encodable(texts[:3]) == ("a", "", "b\ufffd")
+    assert all_encodable(iter(texts[:2])) == texts[:2]
