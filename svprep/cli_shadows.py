@@ -10,6 +10,8 @@ from typing import Any, Final
 from svprep.cache.reader import Cache, open_cache
 from svprep.cli_render import IMAGE, ViewOptions, png, request_of, require_pillow
 from svprep.errors import require_extra
+from svprep.light import Light
+from svprep.model import I64, U8
 from svprep.output_file import write_whole
 
 _LEAST_SHARE: Final = 0.6
@@ -56,6 +58,7 @@ def judge(
             truth = rays.truth(drawn.camera, light.in_cache_frame(cache.grid))
             mask = np.where(drawn.picture.in_shadow[i], 255, 0).astype(np.uint8)
             compared = compare(truth, mask, drawn.picture.is_surface)
+            causes = _causes(cache, drawn.camera, light, truth, mask, compared.differing)
             if difference is not None and (compared.n_differing or i == 0):
                 picture = difference_picture(truth, mask)
                 write_whole(IMAGE.checked_path(difference, [path]), [png(picture)])
@@ -68,7 +71,8 @@ def judge(
                     "decidable_share": round(compared.decidable_share, 6),
                     "differing_pixels": compared.n_differing,
                     "differing": [
-                        _pixel(cache, truth, int(y), int(x)) for y, x in compared.differing
+                        _pixel(cache, truth, int(y), int(x)) | {"cause": cause}
+                        for (y, x), cause in zip(compared.differing, causes, strict=True)
                     ],
                     "shadow_in_sky": compared.n_shadow_in_sky,
                     "negative_counts": drawn.picture.tallies[i].n_negative,
@@ -88,6 +92,22 @@ def judge(
             "difference": difference,
             "seconds": round(time.perf_counter() - begun, 3),
         }
+
+
+def _causes(
+    cache: Cache, camera: Any, light: Light, truth: Any, mask: U8, differing: I64
+) -> list[str]:
+    """Return why each pixel differs, of rows and columns; "" behind the first few."""
+    from svprep_runtime.judge_causes import MOST_TRACED, Tracer
+
+    if not len(differing):
+        return []
+    tracer = Tracer(cache.mesh, cache.planes, camera, light.in_cache_frame(cache.grid))
+    first = [
+        tracer.cause(x, y, drawn=bool(mask[y, x]), face_judged=int(truth.face[y, x]))
+        for y, x in differing[:MOST_TRACED].tolist()
+    ]
+    return first + [""] * (len(differing) - len(first))
 
 
 def _pixel(cache: Cache, truth: Any, row: int, column: int) -> dict[str, Any]:
@@ -131,6 +151,7 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
                 f"differs  row {pixel['row']}, column {pixel['column']}: "
                 f"{pixel['object']}, {pixel['by_rays']} by rays, drawn otherwise"
             )
+            lines.append(f"why      {pixel['cause']}")
         if len(light["differing"]) > _MOST_LISTED:
             lines.append(f"differs  ... and {len(light['differing']) - _MOST_LISTED} more (--json)")
         if light["shadow_in_sky"]:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from shadow_judging.cause import MOST_TRACED, Lift, Tracer
 from shadow_judging.datasets import Ready, with_lights
 from shadow_judging.plan import Shot
 from shadow_judging.store import MOST_PIXELS_LISTED, Result, Store, picture_key
@@ -18,8 +17,9 @@ from svprep.cache.reader import Cache, open_cache
 from svprep.model import F32, I64, U8
 from svprep_runtime.camera import Camera
 from svprep_runtime.context import Context
-from svprep_runtime.frame import Picture, lift_uniforms, render, to_srgb
+from svprep_runtime.frame import Picture, render, to_srgb
 from svprep_runtime.judge import Judge
+from svprep_runtime.judge_causes import MOST_TRACED, Tracer
 from svprep_runtime.judge_report import Truth, compare, difference_picture
 from svprep_runtime.scene import Scene
 from svprep_runtime.targets import Targets
@@ -170,27 +170,13 @@ class _OfModel:
         return render(scene, targets, camera, [light], shot.settings)
 
     def _causes(self, camera: Camera, light: F32, truth: Truth, mask: U8, at: I64) -> list[str]:
-        """Return why each pixel of the picture just drawn differs, of rows and columns `at`."""
-        if not len(at) or self._drawn is None:
+        """Return why each pixel of a picture differs, of rows and columns `at`."""
+        if not len(at):
             return []
-        scene, targets = self._drawn
-        lift = lift_uniforms(scene, camera)
-        tracer = Tracer(
-            self._cache,
-            camera,
-            light,
-            Lift(lift["lift_px"], lift["least_lift_m"], lift["most_lift_m"], lift["most_slant"]),
-        )
-        face_drawn = (targets.read_seen() & 0x7FFFFFFF).astype(np.int64) - 1
+        tracer = Tracer(self._cache.mesh, self._cache.planes, camera, light)
         return [
-            tracer.cause(
-                int(x),
-                int(y),
-                drawn=bool(mask[y, x]),
-                face_drawn=int(face_drawn[y, x]),
-                face_judged=int(truth.face[y, x]),
-            )
-            for y, x in at
+            tracer.cause(x, y, drawn=bool(mask[y, x]), face_judged=int(truth.face[y, x]))
+            for y, x in at.tolist()
         ]
 
     def _save(self, folder: Path, shot: Shot, picture: Picture, truth: Truth, mask: U8) -> None:

@@ -67,7 +67,7 @@ class Result:
     n_clamped_segments: int
     overlaps: list[list[Any]] = field(default_factory=list)
     causes: list[str] = field(default_factory=list)
-    """Of the first `shadow_judging.cause.MOST_TRACED` of `differing`."""
+    """Of the first `svprep_runtime.judge_causes.MOST_TRACED` of `differing`."""
     truth_s: float = 0.0
     """0.0 if the truth was there already."""
     draw_s: float = 0.0

@@ -248,7 +248,7 @@ def _pixels(report: Report) -> Iterator[str]:
     seen = {(one.dataset, one.shot.view, one.shot.light): one for one in rows}
     if seen:
         yield ""
-        yield "Why, in float64 over all faces (`scripts/shadow_judging/cause.py`):"
+        yield "Why, in float64 over all faces (`runtime/svprep_runtime/judge_causes.py`):"
         yield ""
         yield from _causes(rows)
         yield ""

@@ -18,8 +18,6 @@ from tests.unit.scripts import load_script
 pytest.importorskip("moderngl", reason="judging needs the extra view: OpenGL")
 pytest.importorskip("embreex", reason="judging needs the extra judge: rays")
 
-from svprep_runtime.camera import parse_camera
-
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ["--small", "--size", "64x48"]
 
@@ -189,38 +187,6 @@ def test_a_pixel_that_differs_is_named_and_fails(
     results.unlink()
     assert quick.main([*common, "--admit"]) == 0
     assert '"house.obj" = 0' in (tmp_path / "admitted.toml").read_text("utf-8")
-
-
-def test_a_cause_is_told_only_where_float64_gives_what_was_drawn(
-    script: ModuleType, tmp_path: Path
-) -> None:
-    """A sheet 1 mm above a ground that is there twice, looked at from 1 m, under a high sun."""
-    from shadow_judging.cause import NOT_FOUND, Lift, Tracer
-
-    model, kept = tmp_path / "sheet.obj", tmp_path / "sheet.svp.h5"
-    square = [(x, y, z) for z in (0, 0.001) for x, y in ((-2, -2), (2, -2), (2, 2), (-2, 2))]
-    lines = [f"v {x} {y} {z}" for x, y, z in square]
-    lines += ["g ground", "f 1 2 3", "f 1 3 4", "f 3 2 1", "f 4 3 1", "g sheet", "f 5 6 7"]
-    model.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    build([model], kept)
-    with open_cache(kept) as cache:
-        camera = parse_camera("-1.6,0.5,0.5,-1,1,0", cache.grid, 64, 48)
-        tracer = Tracer(cache, camera, np.float32([0.1, 0, 1, 0]), Lift(1 / 512, 1e-5, 0.01, 4.0))
-        # Its middle sees the ground at (-1, 1), where no sheet lies above it.
-        first, second, sheet = 1, 3, 4
-        as_drawn = {"drawn": False, "face_drawn": first}
-        said = tracer.cause(32, 24, **as_drawn, face_judged=first)
-        assert said.startswith("X itself lit, ")
-        assert said.endswith(" along the ray lit, as drawn")
-        other = tracer.cause(32, 24, **as_drawn, face_judged=sheet)
-        assert "face 1 in float64, as drawn; the judge's float32 ray meets 4," in other
-        tie = tracer.cause(32, 24, drawn=False, face_drawn=second, face_judged=first)
-        assert "are 0 um apart here" in tie
-        wrong = {"drawn": True, "face_drawn": first, "face_judged": first}
-        assert tracer.cause(32, 24, **wrong) == NOT_FOUND
-        for face in (-1, sheet):  # the sky, and a face that its ray does not meet
-            told = tracer.cause(32, 24, drawn=True, face_drawn=face, face_judged=first)
-            assert told == NOT_FOUND
 
 
 def test_what_is_admitted_only_goes_down(script: ModuleType) -> None:

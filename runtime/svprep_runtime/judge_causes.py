@@ -1,0 +1,171 @@
+r"""Why a picture and the judge differ at a pixel: what float64 says, over all faces, one by one.
+
+        eye
+          \   . X' along the normal: where the judge asks
+           \  |
+    X' as   o |     Both are lit, or both are not, unless a shadow's edge passes
+    drawn    \|     between them, closer to X than a millimetre.
+    _________ X _________ face
+
+Nothing of the judge or of the renderer is used: no hierarchy, no float32 ray, no depth
+buffer. A cause is told only where float64 gives what was drawn; all else is `NOT_FOUND`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from svprep.facing import facing
+from svprep.model import F32, F64, Mesh, PlaneTable
+from svprep.rays import offset_m
+from svprep_runtime.camera import Camera
+from svprep_runtime.frame import LIFT_PX, LIFT_ULPS, MOST_LIFT_M, MOST_SLANT
+from svprep_runtime.judge_constants import CENTRE_ULPS, LEAST_OFFSET_M, OFFSET_ULPS
+
+NOT_FOUND: Final = "not found"
+MOST_TRACED: Final = 20
+"""Pixels of one picture whose cause is looked for."""
+_SAME_DEPTH: Final = 2.0**-22
+"""Depths that differ by no more, as a share, may be one float32 depth."""
+
+
+class Tracer:
+    """All faces of a city in float64, for one camera and light.
+
+    Parameters
+    ----------
+    light : ndarray
+        ``(4,) float32``, in the cache frame.
+
+    Notes
+    -----
+    A pixel takes five passes over all faces.
+    """
+
+    def __init__(self, mesh: Mesh, planes: PlaneTable, camera: Camera, light: F32) -> None:
+        self._camera, self._light = camera, light.astype(np.float64)
+        self._eye = camera.eye.astype(np.float64)
+        self._corners = mesh.positions[mesh.faces].astype(np.float64)
+        a, b, c = self._corners.transpose(1, 0, 2)
+        self._normals = np.cross(b - a, c - a)
+        self._middle = (a + b + c) / 3.0
+        away = self._corners - self._middle[:, None]
+        # A little more than the farthest corner: what is left out is not met for certain.
+        self._reach2 = (1.0 + 1e-6) * np.einsum("ijk,ijk->ij", away, away).max(axis=1)
+        self._faces_light = facing(planes.planes, light)[planes.plane_of_face]
+        self._nearest_m = offset_m(mesh, 0.0, CENTRE_ULPS)
+        self._offset_m = offset_m(mesh, LEAST_OFFSET_M, OFFSET_ULPS)
+        self._least_lift_m = offset_m(mesh, 0.0, LIFT_ULPS)
+        across = camera.directions(np.array([0.0, 1.0]), np.zeros(2))
+        self._a_pixel = float(np.linalg.norm(across[1] - across[0]))
+
+    def cause(self, column: int, row: int, *, drawn: bool, face_judged: int) -> str:
+        """Return why a pixel is `drawn` in shadow, or lit, and the judge disagrees.
+
+        Parameters
+        ----------
+        drawn
+            In shadow.
+        face_judged
+            The face that the judge saw, -1 for none.
+        """
+        ray = self._camera.directions(np.array([column + 0.5]), np.array([row + 0.5]))[0]
+        met = self._met(self._eye, ray)
+        met[met < self._camera.near_m] = np.inf
+        nearest = int(met.argmin())
+        if face_judged < 0 or not np.isfinite(met[nearest]):
+            return NOT_FOUND
+        if self._as_drawn(nearest, ray, met[nearest]) != drawn:
+            return self._tie(nearest, ray, met, drawn)
+        if nearest != face_judged:
+            return (
+                f"the ray meets face {nearest} in float64, as drawn; the judge's float32 ray "
+                f"meets {face_judged}, {self._beside_px(nearest, ray):.1g} px beside"
+            )
+        return self._displacement(nearest, ray, met[nearest], drawn)
+
+    def _tie(self, nearest: int, ray: F64, met: F64, drawn: bool) -> str:
+        """Return which face as near as the nearest one, for float32, gives what was drawn."""
+        apart = (met - met[nearest]) / met[nearest]
+        for face in np.flatnonzero(apart <= _SAME_DEPTH).tolist():
+            if face < nearest and self._as_drawn(face, ray, met[face]) == drawn:
+                return (
+                    f"faces {nearest} and {face} are {1e6 * (met[face] - met[nearest]):.2g} um "
+                    f"apart here, {apart[face]:.1g} of their depth: to a depth buffer of float32 "
+                    "the same, and the first of the file is drawn"
+                )
+        return NOT_FOUND
+
+    def _displacement(self, face: int, ray: F64, depth: float, drawn: bool) -> str:
+        """Return where along the normal, and along the ray, X is lit or in shadow."""
+        point = self._eye + depth * ray
+        normal = self._towards_eye(face)
+        said = [
+            f"{name} {_word(self._is_shaded(face, point + lift * normal))}"
+            for name, lift in (
+                ("X itself", 0.0),
+                (f"{1e3 * self._nearest_m:.2g} mm along the normal", self._nearest_m),
+                (f"{1e3 * self._offset_m:.2g} mm", self._offset_m),
+            )
+        ]
+        step = float(np.linalg.norm(self._step(face, ray, depth)))
+        return f"{', '.join(said)}; {1e3 * step:.2g} mm along the ray {_word(drawn)}, as drawn"
+
+    def _as_drawn(self, face: int, ray: F64, depth: float) -> bool:
+        """Return whether X of a face, displaced along its ray, is in shadow."""
+        point = self._eye + depth * ray
+        return self._is_shaded(face, point - self._step(face, ray, depth))
+
+    def _step(self, face: int, ray: F64, depth: float) -> F64:
+        """Return how a picture displaces X of a face, as ``displace.frag`` does."""
+        most_m = max(MOST_LIFT_M, self._least_lift_m)
+        metres = min(max(LIFT_PX * self._a_pixel * depth, self._least_lift_m), most_m)
+        slope = abs(float(self._towards_eye(face) @ ray))
+        slant = MOST_SLANT / float(np.linalg.norm(ray))
+        if slope > 0.0:
+            slant = min(1.0 / slope, slant)
+        return metres * slant * ray
+
+    def _is_shaded(self, face: int, point: F64) -> bool:
+        """Return whether `point`, which lies before `face`, is in shadow by definition."""
+        height = float(self._normals[face] @ (self._eye - self._corners[face, 0]))
+        if self._faces_light[face] != np.sign(height):
+            return True
+        towards = self._light[:3] if self._light[3] == 0.0 else self._light[:3] - point
+        met = self._met(point, towards)
+        met[face] = np.inf
+        return bool((met < (np.inf if self._light[3] == 0.0 else 1.0)).any())
+
+    def _towards_eye(self, face: int) -> F64:
+        normal = self._normals[face] / np.linalg.norm(self._normals[face])
+        towards = float(normal @ (self._eye - self._corners[face, 0]))
+        return normal if towards > 0.0 else -normal
+
+    def _met(self, start: F64, ray: F64) -> F64:
+        """Return ``(n_faces,)``: how many times `ray` from `start` to each face, inf for none."""
+        times = np.full(len(self._corners), np.inf)
+        towards = self._middle - start
+        along = towards @ (ray / np.linalg.norm(ray))
+        away2 = np.einsum("ij,ij->i", towards, towards)
+        near = np.flatnonzero((1.0 - 1e-12) * away2 - along**2 <= self._reach2)
+        a, b, c = (self._corners[near] - start).transpose(1, 0, 2)
+        inside = np.stack([np.cross(b, c) @ ray, np.cross(c, a) @ ray, np.cross(a, b) @ ray])
+        is_met = (inside >= 0.0).all(axis=0) | (inside <= 0.0).all(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.einsum("ij,ij->i", self._normals[near], a) / (self._normals[near] @ ray)
+        is_met &= found > 0.0
+        times[near[is_met]] = found[is_met]
+        return times
+
+    def _beside_px(self, face: int, ray: F64) -> float:
+        """Return how far inside of the edges of `face` a ray passes [pixels], about."""
+        corners = self._corners[face] - self._eye
+        edges = np.cross(corners, np.roll(corners, -1, axis=0))
+        inside = np.abs(edges @ ray) / np.linalg.norm(edges, axis=1)
+        return float(inside.min()) / self._a_pixel
+
+
+def _word(is_shaded: bool) -> str:
+    return "shadow" if is_shaded else "lit"
