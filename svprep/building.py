@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from os import PathLike
@@ -29,8 +29,8 @@ from svprep.cache.codec import (
 from svprep.cache.contents import Contents, OfRuns
 from svprep.cache.runs import Joined, Run
 from svprep.cache.schema import SPEC_OF_PATH
-from svprep.clamp import ClampCosts, clamp_lights
-from svprep.clamp_changes import PreviousClamp
+from svprep.clamp import ClampCosts, clamp_changed, clamp_lights
+from svprep.clamp_changes import PreviousClamp, SceneParts
 from svprep.content import source_digests
 from svprep.errors import EnvironmentProblem, InputError
 from svprep.ingest import read
@@ -52,8 +52,16 @@ from svprep.older import OfNoUse, Older, objects_before, read_older, runs_taken_
 from svprep.parallel import map_ordered, thread_count
 from svprep.planes import default_planar_tolerance_m
 from svprep.process_memory import return_free_memory
-from svprep.repair.grid import choose_grid, notes_on_step
-from svprep.scene_tree import LocalClusters, join_clusters, scene_tree, updated_scene_tree
+from svprep.ranges import rows_of_runs
+from svprep.repair.grid import FINE_STEP_M, choose_grid, notes_on_step
+from svprep.scene_tree import (
+    EarlierScene,
+    LocalClusters,
+    build_scene_tree,
+    join_clusters,
+    scene_tree,
+    updated_scene_tree,
+)
 from svprep.stage_clock import StageClock
 from svprep.tile_store import InMemory, OnDisk
 from svprep.tiles import (
@@ -324,24 +332,30 @@ class Parts:
 
     def scene_tree(self) -> SceneTree:
         """Return the trees over all objects and faces."""
+        local = join_clusters(self.clusters)
+        self.clusters.clear()  # held once, where memory is short
         older, before = self.plan.older, self.plan.before
         if older is None or before is None:
-            local = join_clusters(self.clusters)
-            self.clusters.clear()  # held once, where memory is short
             tree = scene_tree(local)
             del local
             self._return_free_memory()
             return tree
-        return updated_scene_tree(self.mesh, older.scene, older.mesh.object_face_start, before)
+        earlier = EarlierScene(older.mesh, older.scene, before)
+        face_start = self._starts("objects/face_start")
+        return updated_scene_tree(earlier, face_start, local) or build_scene_tree(self.mesh)
 
     def clamp(
         self, scene: SceneTree, lights: Sequence[Light], costs: ClampCosts | None
     ) -> ClampTable:
         """Return the segments of every caster for every light."""
         previous = self._previous_clamp(scene) if lights else None
+        if previous is not None:
+            return clamp_changed(
+                previous, lambda: (self.mesh, self.components), self.plan.grid, lights, costs
+            )
         mesh, components = self.mesh, self.components
         self._return_free_memory()
-        table = clamp_lights(mesh, components, scene, lights, costs, previous=previous)
+        table = clamp_lights(mesh, components, scene, lights, costs)
         self._return_free_memory()
         return table
 
@@ -352,34 +366,56 @@ class Parts:
                 release(array)
             return_free_memory()
 
+    def _starts(self, path: str) -> I64:
+        return self.joined.array(path).astype(np.int64)
+
     def _previous_clamp(self, scene: SceneTree) -> PreviousClamp | None:
         """Return what the older cache holds of lights, and where the scene is another now."""
         older, before = self.plan.older, self.plan.before
         if older is None or before is None or not len(older.clamp):
             return None
+        then = SceneParts(
+            tree=older.scene,
+            object_start=older.components.object_start,
+            face_start=older.components.face_start,
+            points_of=lambda faces: older.mesh.positions[older.mesh.faces[faces].reshape(-1)],
+        )
+        now = SceneParts(
+            tree=scene,
+            object_start=self._starts("objects/component_start"),
+            face_start=self._starts("components/face_start"),
+            points_of=self.joined.points_of_faces,
+        )
         is_gone = np.ones(older.n_objects, np.bool_)
         is_gone[before[before >= 0]] = False
-        start, n_before = self.components.object_start, older.component_start
-        shift = np.where(before >= 0, n_before[before] - start[:-1], 0)
-        counts = np.diff(start)
-        caster_before = np.arange(int(start[-1])) + np.repeat(shift, counts)
+        casters_gone, _ = rows_of_runs(then.object_start, np.flatnonzero(is_gone))
+        shift = np.where(before >= 0, then.object_start[before] - now.object_start[:-1], 0)
+        counts = np.diff(now.object_start)
+        caster_before = np.arange(now.n_casters) + np.repeat(shift, counts)
         caster_before[np.repeat(before < 0, counts)] = -1
         return PreviousClamp(
             table=older.clamp,
+            then=then,
+            now=now,
             caster_before=caster_before,
+            casters_gone=casters_gone,
             changed_boxes=np.concatenate(
                 [older.scene.object_boxes[is_gone], scene.object_boxes[before < 0]]
             ),
-            scene_box=older.scene.cluster_nodes[-1],
         )
 
     @property
     def labels(self) -> Labels:
         """What the sources say of objects, and of the faces that are left."""
         if self._labels is None:
-            mesh = self.mesh
-            self._labels = labels_of(self.plan.source, mesh.object_face_start, mesh.source_face)
+            face_start = self._starts("objects/face_start")
+            self._labels = labels_of(self.plan.source, face_start, self._source_face)
         return self._labels
+
+    def _source_face(self) -> U32:
+        if self._mesh is not None:
+            return self._mesh.source_face
+        return self._whole("mesh/source_face")
 
     def contents(self, scene: SceneTree, clamp: ClampTable) -> Contents:
         """Return all that the cache will hold."""
@@ -393,27 +429,31 @@ class Parts:
 
     def attributes(self, config: Mapping[str, object]) -> dict[str, bytes | Raw]:
         """Return the cache's attributes."""
-        source = self.plan.source
+        source, grid = self.plan.source, self.plan.grid
+        notes = notes_on_step(self.mesh) if grid.step_m > FINE_STEP_M else ()
         return city_attributes(
             sources=source.sources,
             labels=self.labels,
             place=source.place,
-            grid=self.plan.grid,
-            planar_tolerance_m=default_planar_tolerance_m(self.plan.grid),
+            grid=grid,
+            planar_tolerance_m=default_planar_tolerance_m(grid),
             config=config,
-            notes=(*source.notes, *notes_on_step(self.mesh)),
+            notes=(*source.notes, *notes),
         )
 
 
-def labels_of(source: SourceMesh, object_face_start: I64, source_face: U32) -> Labels:
-    """Return what the sources say of objects, and of the faces that are left."""
-    labels = Labels.none(len(source.object_names), len(source_face))
+def labels_of(source: SourceMesh, object_face_start: I64, source_face: Callable[[], U32]) -> Labels:
+    """Return what the sources say of objects, and of the faces that are left.
+
+    `source_face` gives that of `Mesh`, and is called only if the sources say something of faces.
+    """
+    labels = Labels.none(len(source.object_names), int(object_face_start[-1]))
     surface: U8 = labels.surface_of_face
     if len(source.surface_of_polygon):
         source_of_face = np.repeat(source.object_source, np.diff(object_face_start))
         is_stated = np.diff(source.polygon_start)[source_of_face] > 0
         first = source.polygon_start[source_of_face[is_stated]]
-        surface[is_stated] = source.surface_of_polygon[first + source_face[is_stated]]
+        surface[is_stated] = source.surface_of_polygon[first + source_face()[is_stated]]
     return Labels(
         object_types=source.object_types or labels.object_types,
         object_parents=source.object_parents or labels.object_parents,

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from svprep.clamp_changes import PreviousClamp, pad_of, segments_after
-from svprep.clamp_views import ClampScene, LampView, SunView
+from svprep.clamp_changes import PreviousClamp, TakenOver, taken_over
+from svprep.clamp_views import ClampScene, LampView, Segments, SunView
 from svprep.errors import InputError, first_few
 from svprep.light import Light
 from svprep.model import F32, F64, ClampTable, Components, Grid, Mesh, SceneTree
@@ -48,6 +48,11 @@ class ClampCosts:
             if not 0.0 <= value < math.inf:
                 raise InputError(f"the cost of a clamp's {name} is a number of at least 0: {value}")
 
+    @property
+    def prices(self) -> F64:
+        """Both, as kernels take them."""
+        return np.array([self.vertex, self.area])
+
 
 def clamp_lights(
     mesh: Mesh,
@@ -56,7 +61,6 @@ def clamp_lights(
     lights: Sequence[Light],
     costs: ClampCosts | None = None,
     on_light: LightHook | None = None,
-    previous: PreviousClamp | None = None,
 ) -> ClampTable:
     """Return the segments of every caster for every light, in the order of `lights`.
 
@@ -69,9 +73,6 @@ def clamp_lights(
     costs : ClampCosts, optional
     on_light : callable, optional
         Called as each light is done.
-    previous : PreviousClamp, optional
-        Of an earlier state of the scene: casters that meet nothing that changed take over
-        what it holds. The outcome is the same without.
 
     Raises
     ------
@@ -85,39 +86,124 @@ def clamp_lights(
     O((n + h) log n) for each light, h the pairs of casters and receivers that overlap.
     Continuous clamping after Lloyd et al. (2004); precomputed after Steiner (2006).
     """
-    costs = costs or ClampCosts()
-    if lights:
-        _check_tables(mesh, components, scene)
-    vectors = [read_only(light.in_cache_frame(mesh.grid)) for light in lights]
-    for light, vector in zip(lights, vectors, strict=True):
-        _check_off_vertices(light, vector, mesh)
-    shared = _scene(mesh, components, scene) if lights else None
-    prices = np.array([costs.vertex, costs.area])
-    clamped, facts = [], []
-    for i, vector in enumerate(vectors):
+    prices = (costs or ClampCosts()).prices
+    vectors = _vectors(lights, mesh.grid)
+    clamped: list[_Clamped] = []
+    shared = _checked(mesh, components, scene, lights, vectors) if lights else None
+    for vector in vectors:
         assert shared is not None
         view = _view(shared, vector)
-        segments = None
-        if previous is not None:
-            segments = segments_after(previous, view, vector, prices, components, scene)
-        clamped.append(segments or view.segments(prices))
-        facts.append([*prices, *view.surfaces(clamped[-1])])
+        clamped.append(_with_facts(view, view.segments(prices), prices))
         if on_light is not None:
-            on_light(i + 1, len(vectors))
-    n, n_casters = len(lights), len(components.flags)
+            on_light(len(clamped), len(vectors))
+    return _table(lights, vectors, clamped, len(components.flags))
+
+
+def clamp_changed(
+    previous: PreviousClamp,
+    whole: Callable[[], tuple[Mesh, Components]],
+    grid: Grid,
+    lights: Sequence[Light],
+    costs: ClampCosts | None = None,
+) -> ClampTable:
+    """Return what `clamp_lights` returns of a scene, from what it was of an earlier state.
+
+    Casters that meet nothing that changed take over what they had.
+
+    Parameters
+    ----------
+    previous : PreviousClamp
+    whole : callable
+        Gives the mesh and the components of the scene as it is: called where a light cannot
+        be taken over.
+    grid, lights, costs
+        As for `clamp_lights`, which names the errors.
+    """
+    prices = (costs or ClampCosts()).prices
+    vectors = _vectors(lights, grid)
+    found = [_from_before(previous, vector, prices) for vector in vectors]
+    again = [i for i, one in enumerate(found) if one is None]
+    shared = None
+    if again or any(one is not None and one.units is None for one in found):
+        chosen = [lights[i] for i in again], [vectors[i] for i in again]
+        shared = _checked(*whole(), previous.now.tree, *chosen)
+    clamped: list[_Clamped] = []
+    for one, vector in zip(found, vectors, strict=True):
+        if one is not None and one.units is not None:
+            facts_m2 = one.units * previous.now.part().unit_m2
+            clamped.append(_Clamped(one.segments, [*prices, *facts_m2]))
+            continue
+        assert shared is not None
+        view = _view(shared, vector)
+        segments = view.segments(prices) if one is None else one.segments
+        clamped.append(_with_facts(view, segments, prices))
+    return _table(lights, vectors, clamped, previous.now.n_casters)
+
+
+def _from_before(previous: PreviousClamp, vector: F32, prices: F64) -> TakenOver | None:
+    """Return what becomes of a light; None if it is to be clamped anew, or is an error."""
+    light = previous.light_of(vector, prices)
+    if light is None or (vector[3] != 0.0 and previous.now.has_vertex_at(vector[:3])):
+        return None
+    return taken_over(previous, _view(previous.now.part(), vector), prices, light)
+
+
+@dataclass(frozen=True, slots=True)
+class _Clamped:
+    """What a table holds of a light."""
+
+    segments: Segments
+    facts: list[float]
+
+
+def _with_facts(view: SunView | LampView, segments: Segments, prices: F64) -> _Clamped:
+    surfaces_m2 = view.surfaces(segments, view.end()) * view.scene.unit_m2
+    return _Clamped(segments, [*prices, *surfaces_m2])
+
+
+def _vectors(lights: Sequence[Light], grid: Grid) -> list[F32]:
+    return [read_only(light.in_cache_frame(grid)) for light in lights]
+
+
+def _checked(
+    mesh: Mesh,
+    components: Components,
+    scene: SceneTree,
+    lights: Sequence[Light],
+    vectors: Sequence[F32],
+) -> ClampScene:
+    """Return the scene, its tables and the lights checked."""
+    check_tables(mesh, components, scene)
+    for light, vector in zip(lights, vectors, strict=True):
+        _check_off_vertices(light, vector, mesh)
+    return ClampScene(
+        positions=read_only(mesh.positions),
+        faces=read_only(mesh.faces),
+        face_start=read_only(components.face_start),
+        order=read_only(scene.faces),
+        cluster_start=read_only(scene.cluster_start),
+        largest_m=max(float(mesh.positions.max()), -float(mesh.positions.min())),
+    )
+
+
+def _table(
+    lights: Sequence[Light], vectors: Sequence[F32], clamped: Sequence[_Clamped], n_casters: int
+) -> ClampTable:
+    n = len(lights)
     starts = np.zeros((n, n_casters + 1), np.uint32)
     for i, one in enumerate(clamped):
-        np.cumsum(one.counts, out=starts[i, 1:])
-    sizes = [len(one.depths) for one in clamped]
+        np.cumsum(one.segments.counts, out=starts[i, 1:])
+    segments = [one.segments for one in clamped]
+    sizes = [len(one.depths) for one in segments]
     return ClampTable(
         specs=tuple(light.spec for light in lights),
         lights=np.array(vectors, np.float32).reshape(n, 4),
         frames=np.array([light_frame(vector) for vector in vectors], np.float64).reshape(n, 3, 3),
-        facts=np.array(facts, np.float64).reshape(n, 5),
+        facts=np.array([one.facts for one in clamped], np.float64).reshape(n, 5),
         light_start=np.concatenate(([0], np.cumsum(sizes, dtype=np.int64))),
         segment_start=starts,
-        depths=np.concatenate([np.empty((0, 2), np.float32), *(one.depths for one in clamped)]),
-        slopes=np.concatenate([np.empty((0, 2), np.int16), *(one.slopes for one in clamped)]),
+        depths=np.concatenate([np.empty((0, 2), np.float32), *(one.depths for one in segments)]),
+        slopes=np.concatenate([np.empty((0, 2), np.int16), *(one.slopes for one in segments)]),
     )
 
 
@@ -184,18 +270,7 @@ def light_frame(vector: F32) -> F64:
     return np.stack([u, np.cross(t, u), t])
 
 
-def _scene(mesh: Mesh, components: Components, scene: SceneTree) -> ClampScene:
-    return ClampScene(
-        positions=read_only(mesh.positions),
-        faces=read_only(mesh.faces),
-        face_start=read_only(components.face_start),
-        order=read_only(scene.faces),
-        cluster_start=read_only(scene.cluster_start),
-        pad_m=pad_of(max(float(mesh.positions.max()), -float(mesh.positions.min()))),
-    )
-
-
-def _check_tables(mesh: Mesh, components: Components, scene: SceneTree) -> None:
+def check_tables(mesh: Mesh, components: Components, scene: SceneTree) -> None:
     """Raise `CacheError` where a kernel would read beyond an array. O(n)."""
     check_mesh(mesh, components)
     n_faces = len(mesh.faces)

@@ -6,29 +6,95 @@
 
 A caster meets the clusters that overlap its rectangle in a light frame or view. One whose
 rectangle overlaps no changed box, widened for rounding, meets the same ones as before.
+
+Of the scene as a whole its trees and lists are read, of its faces only those that are near.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from svprep.clamp_rectangles import (
+    around,
+    every_view,
+    grouped,
+    not_empty,
+    of_casters,
+    overlaps,
+    rectangles_of,
+)
 from svprep.clamp_views import ClampScene, LampView, Segments, SunView
-from svprep.hilbert import BITS, hilbert_keys
-from svprep.model import BOOL, F32, F64, I64, ClampTable, Components, SceneTree
+from svprep.model import BOOL, F32, F64, I64, ClampTable, SceneTree
 from svprep.ranges import rows_of_runs
-from svprep.scene_tree import LEAF
+from svprep.scene_tree import LEAF, level_starts
 from svprep.silhouette.tables import read_only
 
-_LEAST_PAD_M: Final = 0.0005
-_MOST_GROUPS: Final = 32
-"""Changed boxes are joined to as many, near ones together."""
-_SLACK: Final = 8.0
-"""Pads by which what changed is widened: more than boxes in a light's frame are."""
+_MOST_UNITS: Final = float(1 << 52)
+"""Of a surface that is taken over: half of what float64 counts to."""
+_FIRST_DEEPEST: Final = 8
+_MOST_DEEPEST: Final = 1024
+"""Nodes that are looked into for the end of a scene, first and at most."""
+_MOST_SLICES: Final = 1024
+"""Runs that are copied one by one; if there are more, it goes row by row."""
+_NONE: Final[I64] = np.zeros(0, np.int64)
+_NO_SEGMENTS: Final = Segments(
+    np.zeros(0, np.uint32), np.zeros((0, 2), np.float32), np.zeros((0, 2), np.int16)
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneParts:
+    """A scene of which any faces can be had."""
+
+    tree: SceneTree
+    object_start: I64
+    """``(n_objects + 1,)``: casters of each object."""
+    face_start: I64
+    """``(n_casters + 1,)``"""
+    points_of: Callable[[I64], F32]
+    """Gives the corners of ``(n,)`` faces, ``(3 n, 3)`` [m]."""
+
+    @property
+    def n_casters(self) -> int:
+        """Components."""
+        return len(self.face_start) - 1
+
+    @property
+    def lowest_nodes(self) -> F32:
+        """The boxes around every eight clusters."""
+        n_clusters = len(self.tree.cluster_start) - 1
+        return self.tree.cluster_nodes[: int(level_starts(n_clusters)[1])]
+
+    def part(self, casters: I64 = _NONE, nodes: I64 = _NONE) -> ClampScene:
+        """Return some casters, and the clusters of some of `lowest_nodes`, in their order.
+
+        Each face has its own corners.
+        """
+        clusters = (LEAF * nodes[:, None] + np.arange(LEAF)).reshape(-1)
+        clusters = clusters[clusters < len(self.tree.cluster_start) - 1]
+        own, start = rows_of_runs(self.face_start, casters)
+        rows, cluster_start = rows_of_runs(self.tree.cluster_start, clusters)
+        faces = np.concatenate([own, self.tree.faces[rows].astype(np.int64)])
+        return ClampScene(
+            positions=read_only(self.points_of(faces)),
+            faces=read_only(np.arange(3 * len(faces), dtype=np.uint32).reshape(-1, 3)),
+            face_start=read_only(start),
+            order=read_only(np.arange(len(own), len(faces), dtype=np.uint32)),
+            cluster_start=read_only(cluster_start),
+            largest_m=float(np.abs(self.tree.cluster_nodes[-1]).max()),
+        )
+
+    def has_vertex_at(self, point: F32) -> bool:
+        """Whether a face has a corner there, ``(3,)`` [m]."""
+        boxes = self.lowest_nodes
+        is_near = ((boxes[:, :3] <= point) & (boxes[:, 3:] >= point)).all(axis=1)
+        near = self.part(nodes=np.flatnonzero(is_near))
+        return bool((near.positions == point).all(axis=1).any())
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,82 +102,96 @@ class PreviousClamp:
     """The clamped lights of an earlier state of a scene, on the same grid."""
 
     table: ClampTable
+    then: SceneParts
+    """That state."""
+    now: SceneParts
     caster_before: I64
     """``(n_casters,)``: the number of each caster in it, where its faces are the same, in the
-    same order; -1 where not."""
+    same order; -1 where not. None occurs twice."""
+    casters_gone: I64
+    """Ascending: those that do not occur."""
     changed_boxes: F32
     """``(m, 6)`` [m]: boxes, as in `SceneTree`, of all objects that went or changed, as they
     were, and of those that came or changed, as they are. Inside out ones hold nothing."""
-    scene_box: F32
-    """``(6,)`` [m]: of the whole scene as it was, the last of its `cluster_nodes`."""
+
+    def light_of(self, vector: F32, prices: F64) -> int | None:
+        """Return the number of a light in the table; None if it was not clamped at this price."""
+        lights, prices_then = self.table.lights, self.table.facts[:, :2]
+        known = (lights == vector).all(axis=1) & (prices_then == prices).all(axis=1)
+        return int(np.flatnonzero(known)[0]) if known.any() else None
 
 
-def pad_of(largest_m: float) -> float:
-    """Return the pad [m] of a scene whose largest coordinate is `largest_m`."""
-    return max(_LEAST_PAD_M, 1e-6 * largest_m * math.sqrt(3.0))
+@dataclass(frozen=True, slots=True)
+class TakenOver:
+    """A light of all casters, most of which are as they were."""
+
+    segments: Segments
+    units: F64 | None
+    """``(3,)``: what `SunView.surfaces` returns; None where only summing up again tells."""
 
 
-def segments_after(
-    previous: PreviousClamp,
-    view: SunView | LampView,
-    vector: F32,
-    prices: F64,
-    components: Components,
-    tree: SceneTree,
-) -> Segments | None:
-    """Return the segments of all casters, most of them taken over.
+def taken_over(
+    previous: PreviousClamp, view: SunView | LampView, prices: F64, light: int
+) -> TakenOver | None:
+    """Return what becomes of a light.
 
-    None where that is no gain: the light was not clamped with these costs, or every
-    interval, or those of half of the casters, may be others.
+    None where that is no gain: every interval, or those of half of the casters, may be others.
+
+    Parameters
+    ----------
+    previous : PreviousClamp
+    view : SunView or LampView
+        Any part of the scene as it is now, in this light.
+    prices : ndarray
+        ``(2,)``: of a vertex and of an area.
+    light : int
+        The number of the light in the earlier table.
     """
-    scene, table = view.scene, previous.table
-    known = (table.lights == vector).all(axis=1) & (table.facts[:, :2] == prices).all(axis=1)
+    now = previous.now
     # Every bound is widened by the pad, which the largest coordinate decides.
-    is_same_pad = pad_of(float(np.abs(previous.scene_box).max())) == scene.pad_m
-    if not known.any() or not is_same_pad:
+    if previous.then.part().pad_m != view.scene.pad_m:
         return None
-    met = _met(view, _grouped(previous.changed_boxes), components, tree)
-    again = np.flatnonzero(met.any(axis=1) | (previous.caster_before < 0))
-    if 2 * len(again) > scene.n_casters:
+    near, met = _met(view, grouped(previous.changed_boxes), now)
+    is_again = previous.caster_before < 0
+    is_again[near[met.any(axis=1)]] = True
+    again = np.flatnonzero(is_again)
+    if 2 * len(again) > now.n_casters:
         return None
-    light = int(np.flatnonzero(known)[0])
-    computed = _computed(view, tree, again, met[again], prices)
-    return _merged(table, light, previous.caster_before, again, computed)
+    groups_of_again = np.zeros((len(again), met.shape[1]), np.bool_)
+    groups_of_again[np.searchsorted(again, near[is_again[near]])] = met[is_again[near]]
+    alone = _seen(view, now.part(again, _near_nodes(view, now, again, groups_of_again)))
+    computed = alone.segments(prices) if len(again) else _NO_SEGMENTS
+    return TakenOver(
+        segments=_merged(previous, light, again, computed),
+        units=_surfaces(previous, alone, light, again, computed),
+    )
 
 
-def _met(view: SunView | LampView, groups: F32, components: Components, tree: SceneTree) -> BOOL:
-    """Return which casters may meet which groups of changed boxes: objects first."""
-    met = np.zeros((view.scene.n_casters, len(groups)), np.bool_)
-    rectangles = _rectangles(view, groups, _every(view))
-    views = _not_empty(rectangles)
-    has_faces = np.flatnonzero(tree.object_boxes[:, 0] <= tree.object_boxes[:, 3])
-    objects = _rectangles(view, tree.object_boxes[has_faces], views, is_caster=True)
-    is_near = _overlaps(objects, rectangles[views]).any(axis=1)
-    casters, _ = rows_of_runs(components.object_start, has_faces[is_near])
-    part = _seen(view, _part(view.scene, casters, np.zeros(0, np.int64)))
-    met[casters] = _overlaps(_of_casters(part, views), rectangles[views])
-    return met
+def _met(view: SunView | LampView, groups: F32, now: SceneParts) -> tuple[I64, BOOL]:
+    """Return casters, and which of them may meet which groups of changed boxes: objects first.
+
+    ``(n,)``, ascending, and ``(n, n_groups)``. No other one meets any.
+    """
+    rectangles = rectangles_of(view, groups, every_view(view))
+    views, boxes = not_empty(rectangles), now.tree.object_boxes
+    has_faces = np.flatnonzero(boxes[:, 0] <= boxes[:, 3])
+    objects = rectangles_of(view, boxes[has_faces], views, is_caster=True)
+    is_near = overlaps(objects, rectangles[views]).any(axis=1)
+    casters, _ = rows_of_runs(now.object_start, has_faces[is_near])
+    part = _seen(view, now.part(casters))
+    return casters, overlaps(of_casters(part, views), rectangles[views])
 
 
-def _computed(
-    view: SunView | LampView, tree: SceneTree, again: I64, met: BOOL, prices: F64
-) -> Segments:
-    """Return the segments of some casters; ``met`` says near which groups each one is."""
-    scene = view.scene
-    if not len(again):
-        return Segments(
-            np.zeros(0, np.uint32), np.zeros((0, 2), np.float32), np.zeros((0, 2), np.int16)
-        )
-    mine = _of_casters(_seen(view, _part(scene, again, np.zeros(0, np.int64))), _every(view))
+def _near_nodes(view: SunView | LampView, now: SceneParts, casters: I64, met: BOOL) -> I64:
+    """Return the lowest nodes that casters may meet; ``met`` says near which groups they are."""
+    if not len(casters):
+        return _NONE
+    mine = of_casters(_seen(view, now.part(casters)), every_view(view))
     groups = [*met.T, ~met.any(axis=1)]
-    around = np.stack([_around(mine[:, group]) for group in groups if group.any()], axis=1)
-    views = _not_empty(around)
-    n_nodes = -(-scene.n_clusters // LEAF)
-    nodes = _rectangles(view, tree.cluster_nodes[:n_nodes], views)
-    is_near = _overlaps(nodes, around[views]).any(axis=1)
-    leaves = LEAF * np.flatnonzero(is_near)[:, None] + np.arange(LEAF)
-    clusters = leaves[leaves < scene.n_clusters]
-    return _seen(view, _part(scene, again, clusters)).segments(prices)
+    reached = np.stack([around(mine[:, group]) for group in groups if group.any()], axis=1)
+    views = not_empty(reached)
+    nodes = rectangles_of(view, now.lowest_nodes, views)
+    return np.flatnonzero(overlaps(nodes, reached[views]).any(axis=1))
 
 
 def _seen(view: SunView | LampView, scene: ClampScene) -> SunView | LampView:
@@ -121,141 +201,92 @@ def _seen(view: SunView | LampView, scene: ClampScene) -> SunView | LampView:
     return LampView(scene, view.light)
 
 
-def _part(scene: ClampScene, casters: I64, clusters: I64) -> ClampScene:
-    """Return some casters and clusters, in their order, each face with its own corners."""
-    of_casters, start = rows_of_runs(scene.face_start, casters)
-    rows, cluster_start = rows_of_runs(scene.cluster_start, clusters)
-    faces = np.concatenate([of_casters, scene.order[rows].astype(np.int64)])
-    order = np.arange(len(of_casters), len(faces), dtype=np.uint32)
-    return ClampScene(
-        positions=read_only(scene.positions[scene.faces[faces].reshape(-1)]),
-        faces=read_only(np.arange(3 * len(faces), dtype=np.uint32).reshape(-1, 3)),
-        face_start=read_only(start),
-        order=read_only(order),
-        cluster_start=read_only(cluster_start),
-        pad_m=scene.pad_m,
-    )
-
-
-def _merged(
-    table: ClampTable, light: int, caster_before: I64, again: I64, computed: Segments
-) -> Segments:
+def _merged(previous: PreviousClamp, light: int, again: I64, computed: Segments) -> Segments:
     """Return the segments of all casters: from the table, and those that were computed."""
+    table = previous.table
     first, end = table.light_start[light : light + 2].tolist()
     before = table.segment_start[light].astype(np.int64)
     starts = np.concatenate([before, end - first + np.cumsum(computed.counts, dtype=np.int64)])
-    source = caster_before.copy()
+    source = previous.caster_before.copy()
     source[again] = len(before) - 1 + np.arange(len(again))
-    rows, start = rows_of_runs(starts, source)
+    counts, rows = _rows(starts, source)
     return Segments(
-        counts=np.diff(start).astype(np.uint32),
-        depths=np.concatenate([table.depths[first:end], computed.depths]).take(rows, axis=0),
-        slopes=np.concatenate([table.slopes[first:end], computed.slopes]).take(rows, axis=0),
+        counts=counts,
+        depths=_taken([table.depths[first:end], computed.depths], rows),
+        slopes=_taken([table.slopes[first:end], computed.slopes], rows),
     )
 
 
-def _grouped(boxes: F32) -> F32:
-    """Return boxes that hold all of `boxes`, at most `_MOST_GROUPS`."""
-    boxes = boxes[boxes[:, 0] <= boxes[:, 3]]
-    if len(boxes) <= _MOST_GROUPS:
-        return boxes
-    middles = boxes[:, :3].astype(np.float64) + boxes[:, 3:]
-    low = middles.min(axis=0)
-    extent = max(float((middles.max(axis=0) - low).max()), 1e-300)
-    order = np.argsort(
-        hilbert_keys(((middles - low) / extent * ((1 << BITS) - 1)).astype(np.int64))
-    )
-    first = np.arange(_MOST_GROUPS) * len(boxes) // _MOST_GROUPS
-    ordered = boxes[order]
-    low = np.minimum.reduceat(ordered[:, :3], first, axis=0)
-    return np.hstack([low, np.maximum.reduceat(ordered[:, 3:], first, axis=0)])
+def _rows(starts: I64, source: I64) -> tuple[NDArray[np.uint32], I64 | list[slice]]:
+    """Return the segments of each of some casters, and which rows, or slices, these are."""
+    cuts = np.flatnonzero(np.diff(source) != 1) + 1
+    if len(cuts) > _MOST_SLICES:
+        rows, start = rows_of_runs(starts, source)
+        return np.diff(start).astype(np.uint32), rows
+    bounds = [0, *cuts.tolist(), len(source)]
+    begin = source[bounds[:-1]]
+    end = begin + np.diff(bounds)
+    runs = list(zip(begin.tolist(), end.tolist(), strict=True))
+    counts = [np.diff(starts[a : b + 1]) for a, b in runs]
+    slices = [slice(starts[a], starts[b]) for a, b in runs]
+    return np.concatenate(counts).astype(np.uint32), slices
 
 
-# Rectangles ``(n_views, n, 5)``: u0, u1, v0, v1, and a depth behind which is nothing ----------
+def _taken(parts: list[NDArray[Any]], rows: I64 | list[slice]) -> NDArray[Any]:
+    whole = np.concatenate(parts)
+    if isinstance(rows, list):
+        return np.concatenate([whole[run] for run in rows])
+    return whole.take(rows, axis=0)
 
 
-def _overlaps(ones: F64, others: F64) -> BOOL:
-    """Return which of the first, in any view, overlap which of the others and reach so far.
+def _surfaces(
+    previous: PreviousClamp, alone: SunView | LampView, light: int, again: I64, computed: Segments
+) -> F64 | None:
+    """Return the surface of all volumes, in units, from what it was.
 
-    ``ones (n_views, n, 5)``, ``others (n_views, m, 5)`` -> ``(n, m)``. The fifth number of a
-    caster is its front, or of a receiver minus its back: one of each kind overlaps if their
-    sum is at most 0.
+    Parameters
+    ----------
+    alone : SunView or LampView
+        The casters that were computed.
+
+    Notes
+    -----
+    Whole numbers, so nothing is lost by taking some away and adding others. Where a scene
+    ends decides the surface of every volume.
     """
-    n, m = ones.shape[1], others.shape[1]
-    met = np.zeros((n, m), np.bool_)
-    for one, other in zip(ones, others, strict=True):
-        for j in range(m):
-            u0, u1, v0, v1, t = other[j].tolist()
-            is_met = (one[:, 0] <= u1) & (one[:, 1] >= u0) & (one[:, 2] <= v1)
-            is_met &= (one[:, 3] >= v0) & (one[:, 4] + t <= 0.0)
-            met[:, j] |= is_met
-    return met
+    table, then, unit_m2 = previous.table, previous.then, alone.scene.unit_m2
+    units = table.facts[light, 2:] / unit_m2
+    # Lights may have been added by another svprep, which counts them in another way.
+    if (units != np.rint(units)).any() or (units > _MOST_UNITS).any():
+        return None
+    if not len(again) and not len(previous.casters_gone):
+        return units
+    end = _end(alone, previous.now)
+    if end is None or end != _end(alone, then) or then.part().unit_m2 != unit_m2:
+        return None
+    before = previous.caster_before[again]
+    old = np.sort(np.concatenate([previous.casters_gone, before[before >= 0]]))
+    rows, start = rows_of_runs(table.segment_start[light].astype(np.int64), old)
+    rows += table.light_start[light]
+    counts = np.diff(start).astype(np.uint32)
+    went = Segments(counts, table.depths[rows], table.slopes[rows])
+    units -= _seen(alone, then.part(old)).surfaces(went, end)
+    units += alone.surfaces(computed, end)
+    return None if (units > _MOST_UNITS).any() else units
 
 
-def _around(rectangles: F64) -> F64:
-    """Return what holds all of ``(n_views, n, 5)``: ``(n_views, 5)``."""
-    low, high = rectangles.min(axis=1), rectangles.max(axis=1)
-    return np.column_stack([low[:, 0], high[:, 1], low[:, 2], high[:, 3], low[:, 4]])
-
-
-def _every(view: SunView | LampView) -> list[int]:
-    """Return all views of a light."""
-    return [0] if isinstance(view, SunView) else list(range(6))
-
-
-def _not_empty(rectangles: F64) -> list[int]:
-    """Return the views in which there is anything."""
-    return np.flatnonzero((rectangles[:, :, 0] <= rectangles[:, :, 1]).any(axis=1)).tolist()
-
-
-def _of_casters(view: SunView | LampView, views: Sequence[int]) -> F64:
-    """Return the rectangles of all casters of a scene, with their fronts."""
-    boxes = view.boxes(0, view.scene.n_casters)
-    if isinstance(view, SunView):
-        return boxes[None, :, :5][views]
-    return _in_views(boxes[:, 0::2], boxes[:, 1::2], view.scene.pad_m, views, is_caster=True)
-
-
-def _rectangles(
-    view: SunView | LampView, boxes: F32, views: Sequence[int], is_caster: bool = False
-) -> F64:
-    """Return widened rectangles of what is in boxes, with fronts of casters or minus backs."""
-    low, high = boxes[:, :3].astype(np.float64), boxes[:, 3:].astype(np.float64)
-    pad = view.scene.pad_m
+def _end(view: SunView | LampView, scene: SceneParts) -> float | None:
+    """Return what `end` of a view of the whole scene returns; None where that takes too long."""
     if isinstance(view, LampView):
-        at = view.light[:3].astype(np.float64)
-        return _in_views(low - at, high - at, pad, views, is_caster)
-    middle = 0.5 * (low + high) @ view.frame.T
-    reach = 0.5 * (high - low) @ np.abs(view.frame).T + _SLACK * pad
-    near, far = middle - reach, middle + reach
-    depth = near[:, 2] if is_caster else -far[:, 2]
-    return np.column_stack([near[:, 0], far[:, 0], near[:, 1], far[:, 1], depth])[None][views]
-
-
-def _in_views(low: F64, high: F64, pad: float, views: Sequence[int], is_caster: bool) -> F64:
-    """Return the rectangles of boxes from a lamp in some views, widened; depths are m.
-
-    In a view whose axis is m, a box with ``a0 <= a <= a1`` and ``0 < m0 <= m <= m1`` lies
-    between ``min(a0 / m0, a0 / m1)`` and ``max(a1 / m0, a1 / m1)``.
-    """
-    found = np.zeros((len(views), len(low), 5))
-    for of_view, view in zip(found, views, strict=True):
-        axis, is_negative = divmod(view, 2)
-        m0, m1 = (-high[:, axis], -low[:, axis]) if is_negative else (low[:, axis], high[:, axis])
-        depth = m0 if is_caster else -m1
-        of_view[:, 4] = depth - _SLACK * pad - 1e-5 * np.abs(depth)
-        is_near = m0 <= 4.0 * _SLACK * pad
-        least = np.where(is_near, 1.0, m0)
-        wider = _SLACK * pad / least
-        is_behind = m1 < -_SLACK * pad
-        for k in range(2):
-            a0, a1 = low[:, (axis + 1 + k) % 3], high[:, (axis + 1 + k) % 3]
-            most = np.maximum(m1, least)
-            first = np.minimum(a0 / least, a0 / most) - wider
-            last = np.maximum(a1 / least, a1 / most) + wider
-            # Within a view are -1 to 1; what lies beyond is not seen in it.
-            is_behind |= ~is_near & ((first > 1.0 + wider) | (last < -1.0 - wider))
-            of_view[:, 2 * k] = np.where(is_near, -2.0, first)
-            of_view[:, 2 * k + 1] = np.where(is_near, 2.0, last)
-        of_view[is_behind, 0], of_view[is_behind, 1] = np.inf, -np.inf
-    return found
+        return view.end_of_box(scene.tree.cluster_nodes[-1].reshape(2, 3))
+    boxes, away = scene.lowest_nodes, view.frame[2]
+    x, y, z = (boxes[:, k + 3 * int(away[k] > 0.0)].astype(np.float64) for k in range(3))
+    # As `place_vertices` computes it, and rounding keeps order: no vertex of a box is deeper.
+    deepest = (away[0] * x + away[1] * y + away[2] * z).astype(np.float32)
+    n_first = min(_FIRST_DEEPEST, len(deepest))
+    nodes = np.argpartition(deepest, -n_first)[-n_first:]
+    end = _seen(view, scene.part(nodes=nodes)).end()
+    nodes = np.flatnonzero(deepest.astype(np.float64) + view.scene.pad_m > end)
+    if len(nodes) > _MOST_DEEPEST:
+        return None
+    return max(end, _seen(view, scene.part(nodes=nodes)).end()) if len(nodes) else end

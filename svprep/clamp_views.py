@@ -1,7 +1,9 @@
 """One light's work in clamping: segments of casters, and the surface of their volumes.
 
 Either is a function of casters and of what they meet: `svprep.clamp_changes` calls them
-with a few casters and the clusters about them, and gets the same segments.
+with a few casters and the clusters about them, and gets the same segments. Surfaces are
+whole numbers of a small unit, so their sum is exact: that of some casters can be taken from
+it, and that of others added, and it is what it would be if all were added up.
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ _LEAST_SINK = 0.02
 """Sine of the sun's altitude below which no horizontal plane is tried: slopes stay below 50."""
 _CHUNK = 4096
 """Casters that a thread takes at a time; sums are taken chunk by chunk, whatever the threads."""
+_UNIT_BITS = 40
+"""Of surfaces: a square as wide as the scene's largest coordinate has 2**38 to 2**40 units."""
+_LEAST_PAD_M = 0.0005
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,18 @@ class ClampScene:
     order: U32
     """Faces in the order of clusters."""
     cluster_start: I64
-    pad_m: float
-    """What float32 rounds in a light frame, and what an edge may be off in a ray tracer."""
+    largest_m: float
+    """[m]: the largest coordinate, of either sign, of the whole scene that this is a part of."""
+
+    @property
+    def pad_m(self) -> float:
+        """What float32 rounds in a light frame, and what an edge may be off in a ray tracer."""
+        return max(_LEAST_PAD_M, 1e-6 * self.largest_m * math.sqrt(3.0))
+
+    @property
+    def unit_m2(self) -> float:
+        """Of which surfaces are counted: a power of two."""
+        return math.ldexp(1.0, 2 * math.frexp(self.largest_m)[1] - _UNIT_BITS)
 
     @property
     def n_casters(self) -> int:
@@ -129,12 +144,14 @@ class SunView:
 
         return _chunk_by_chunk(scene.n_casters, work)
 
-    def surfaces(self, segments: Segments) -> F64:
-        """Return the surface [m^2] of all volumes: see `ClampTable.facts`."""
-        # Where the whole scene ends, an unclamped volume is counted to end.
-        exit_depth = float(self.placed[:, 2].max()) + self.scene.pad_m
+    def end(self) -> float:
+        """Return the depth [m] at which the scene ends, and an unclamped volume is counted to."""
+        return float(self.placed[:, 2].max()) + self.scene.pad_m
 
-        def measure(a: int, b: int, part: Segments) -> F64:
+    def surfaces(self, segments: Segments, end: float) -> F64:
+        """Return the surface of all volumes, in units: see `ClampTable.facts`."""
+
+        def measure(a: int, b: int, part: Segments) -> tuple[F64, F64, F64]:
             u0, u1, v0, v1, front, back = self.boxes(a, b).T
             width, height = u1 - u0, v1 - v0
             rim, cap = 2.0 * (width + height), width * height
@@ -148,15 +165,13 @@ class SunView:
             far = stored[:, 1] + shift
             slant = np.sqrt(1.0 + su * su + sv * sv)
             caps = cap[of] * (slant + np.where(is_first, 1.0, slant))
-            return np.array(
-                [
-                    (rim * (exit_depth - front) + 2.0 * cap).sum(),
-                    (rim * (back - front) + 2.0 * cap).sum(),
-                    (rim[of] * (far - near) + caps).sum(),
-                ]
+            return (
+                rim * (end - front) + 2.0 * cap,
+                rim * (back - front) + 2.0 * cap,
+                rim[of] * (far - near) + caps,
             )
 
-        return _sum_of_chunks(segments, measure)
+        return _units_of_chunks(segments, measure, self.scene.unit_m2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,33 +212,38 @@ class LampView:
         at = np.repeat(self.light[:3].astype(np.float64), 2)
         return _boxes_of(self.scene, self.scene.positions, 0.0, a, b) - at
 
-    def surfaces(self, segments: Segments) -> F64:
-        """Return the surface [m^2] of all volumes; a caster counts as its bounding sphere."""
-        scene = self.scene
-        columns = scene.positions.T  # one after the other: ten times as fast as by rows
-        ends = np.array([[one.min() for one in columns], [one.max() for one in columns]])
-        away = np.abs(ends - self.light[:3].astype(np.float64)).max(axis=0)
-        exit_distance = float(np.linalg.norm(away))  # of the scene's farthest corner
+    def end(self) -> float:
+        """Return the distance [m] of the scene's farthest corner."""
+        columns = self.scene.positions.T  # one after the other: ten times as fast as by rows
+        ends = [[one.min() for one in columns], [one.max() for one in columns]]
+        return self.end_of_box(np.array(ends))
 
-        def measure(a: int, b: int, part: Segments) -> F64:
+    def end_of_box(self, ends: F32) -> float:
+        """Return that of a scene that fills a box, ``(2, 3)`` [m]."""
+        away = np.abs(ends - self.light[:3].astype(np.float64)).max(axis=0)
+        return float(np.linalg.norm(away))
+
+    def surfaces(self, segments: Segments, end: float) -> F64:
+        """Return the surface of all volumes, in units; a caster counts as its bounding sphere."""
+        pad_m = self.scene.pad_m
+
+        def measure(a: int, b: int, part: Segments) -> tuple[F64, F64, F64]:
             boxes = self.boxes(a, b)
             middle, half = boxes[:, 0::2] + boxes[:, 1::2], boxes[:, 1::2] - boxes[:, 0::2]
-            radius = 0.5 * np.sqrt((half**2).sum(axis=1)) + scene.pad_m
+            radius = 0.5 * np.sqrt((half**2).sum(axis=1)) + pad_m
             distance = np.maximum(0.5 * np.sqrt((middle**2).sum(axis=1)), radius)
             disc, band = math.pi * radius * radius, math.pi * radius * distance
-            own, end = 1.0 + 2.0 * radius / distance, np.maximum(exit_distance / distance, 1.0)
+            own, last = 1.0 + 2.0 * radius / distance, np.maximum(end / distance, 1.0)
             of = np.repeat(np.arange(b - a), part.counts)
             k0, k1 = part.depths.astype(np.float64).T * (1.0 + 2e-7 * np.array([[1.0], [-1.0]]))
-            k1 = np.minimum(k1, np.maximum(end[of], k0))
-            return np.array(
-                [
-                    (band * (end * end - 1.0) + disc * (end * end + 1.0)).sum(),
-                    (band * (own * own - 1.0) + disc * (own * own + 1.0)).sum(),
-                    (band[of] * (k1 * k1 - k0 * k0) + disc[of] * (k1 * k1 + k0 * k0)).sum(),
-                ]
+            k1 = np.minimum(k1, np.maximum(last[of], k0))
+            return (
+                band * (last * last - 1.0) + disc * (last * last + 1.0),
+                band * (own * own - 1.0) + disc * (own * own + 1.0),
+                band[of] * (k1 * k1 - k0 * k0) + disc[of] * (k1 * k1 + k0 * k0),
             )
 
-        return _sum_of_chunks(segments, measure)
+        return _units_of_chunks(segments, measure, self.scene.unit_m2)
 
 
 def _boxes_of(scene: ClampScene, points: F32, pad_m: float, a: int, b: int) -> F64:
@@ -263,8 +283,16 @@ def _chunk_by_chunk(n_casters: int, work: Callable[[int, int, U32, F32, I16], in
     )
 
 
-def _sum_of_chunks(segments: Segments, measure: Callable[[int, int, Segments], F64]) -> F64:
-    """Return the sum of what `measure` says, in the order of casters, whatever the threads."""
+def _units_of_chunks(
+    segments: Segments,
+    measure: Callable[[int, int, Segments], tuple[F64, F64, F64]],
+    unit_m2: float,
+) -> F64:
+    """Return the sums of what `measure` says of casters, each rounded to whole units, ``(3,)``.
+
+    A float64 holds every sum below 2**53 exactly, whatever the order. Beyond, the order is
+    that of the casters, whatever the threads.
+    """
     n_casters = len(segments.counts)
     start = np.concatenate(([0], np.cumsum(segments.counts, dtype=np.int64)))
     sums: dict[int, F64] = {}
@@ -272,7 +300,9 @@ def _sum_of_chunks(segments: Segments, measure: Callable[[int, int, Segments], F
     def do(a: int, b: int) -> None:
         rows = slice(int(start[a]), int(start[b]))
         part = Segments(segments.counts[a:b], segments.depths[rows], segments.slopes[rows])
-        sums[a] = measure(a, b, part)
+        areas = (np.rint(areas_m2 / unit_m2) for areas_m2 in measure(a, b, part))
+        # Less than none, by rounding, would make a sum of some more than the sum of all.
+        sums[a] = np.array([np.maximum(units, 0.0).sum() for units in areas])
 
     each_chunk(n_casters, do)
     total = np.zeros(3)

@@ -394,7 +394,8 @@ class ClampTable:
     facts: F64
     """``(n_lights, 5)``: costs of a vertex and of a square metre of side or cap; surface
     [m^2] of all volumes unclamped (to the end of the scene), with each caster clamped to
-    its own box alone, and clamped."""
+    its own box alone, and clamped. Each is a sum of whole `ClampScene.unit_m2`, below 2**53
+    of them exact, so the same in whatever order casters are added."""
     light_start: I64
     """``(n_lights + 1,)``: where each light's segments begin."""
     segment_start: U32

@@ -19,13 +19,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from svprep.cache.codec import decode_mesh
+from svprep.cache.codec import decode_components, decode_mesh
 from svprep.cache.reader import Cache, open_cache
 from svprep.cache.runs import PER_OBJECT, Run, rows_of_objects
 from svprep.cache.stage_code import stage_code
+from svprep.clamp import check_tables
 from svprep.defects import LEFT_OUT
 from svprep.errors import CacheError
-from svprep.model import I64, NO_INDEX, ClampTable, Grid, Mesh, SceneTree, SourceMesh
+from svprep.model import (
+    I64,
+    NO_INDEX,
+    ClampTable,
+    Components,
+    Grid,
+    Mesh,
+    SceneTree,
+    SourceMesh,
+)
+from svprep.silhouette.tables import check_starts
 
 Raw = NDArray[Any]
 MOST_RUNS: Final = 1024
@@ -41,10 +52,9 @@ class Older:
     """Its datasets of `PER_OBJECT`."""
     weld_tolerance_m: float
     mesh: Mesh
+    components: Components
     scene: SceneTree
     clamp: ClampTable
-    component_start: I64
-    """``(n_objects + 1,)``"""
 
     @property
     def n_objects(self) -> int:
@@ -59,7 +69,8 @@ class OfNoUse(Exception):
 def read_older(path: Path) -> Older:
     """Return what can be taken over from the cache `path`.
 
-    Everything that may be needed is read and its digests are checked.
+    Everything that may be needed is read, and its digests are checked, and whether the tables
+    contradict each other.
 
     Raises
     ------
@@ -80,14 +91,21 @@ def _read(cache: Cache) -> Older:
     if not isinstance(tolerance, int | float):
         raise OfNoUse("it does not say how it was welded")
     arrays = {spec.path: cache.raw(spec.path) for spec in PER_OBJECT}
-    return Older(
+    older = Older(
         arrays=arrays,
         weld_tolerance_m=float(tolerance),
         mesh=decode_mesh(arrays.__getitem__, cache.grid),
+        components=decode_components(arrays.__getitem__),
         scene=cache.scene,
         clamp=cache.clamp,
-        component_start=arrays["objects/component_start"].astype(np.int64),
     )
+    check_tables(older.mesh, older.components, older.scene)
+    check_starts("lights/segment_start", older.clamp.light_start, len(older.clamp.depths))
+    for start, size in zip(
+        older.clamp.segment_start, np.diff(older.clamp.light_start).tolist(), strict=True
+    ):
+        check_starts("clamp/segment_start", start.astype(np.int64), size)
+    return older
 
 
 def objects_before(older: Older, digests: U64, grid: Grid, weld_tolerance_m: float) -> I64:

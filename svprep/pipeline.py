@@ -189,7 +189,7 @@ def prepare(
         sources=source.sources,
         object_names=source.object_names,
         object_source=source.object_source,
-        labels=labels_of(source, mesh.object_face_start, mesh.source_face),
+        labels=labels_of(source, mesh.object_face_start, lambda: mesh.source_face),
         place=source.place,
         mesh=mesh,
         components=tables.components,

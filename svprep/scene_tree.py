@@ -10,7 +10,7 @@ leaves keep their order: `updated_scene_tree`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,13 +19,16 @@ import numpy as np
 from svprep.hilbert import BITS, hilbert_keys
 from svprep.kernels.light_boxes import bound_casters
 from svprep.kernels.tree_build import order_pairs
-from svprep.model import F32, I64, U32, U64, Mesh, SceneTree
+from svprep.model import BOOL, F32, I64, U32, U64, Mesh, SceneTree
 from svprep.parallel import for_ranges, for_shares
 from svprep.ranges import rows_of_runs
 from svprep.silhouette.tables import read_only
 
 LEAF: Final = 8
 """Children of a node, and faces of a cluster. `kernels.tree_build` cuts at multiples of it."""
+_PROBES: Final = 1024
+_MOST_PROBES: Final = 63
+"""Of a step of a search: in all, and for one thing that is searched."""
 _NOWHERE: Final = np.uint64(2**64 - 1)
 """The key of an object without faces: behind all others."""
 
@@ -46,6 +49,16 @@ class LocalClusters:
     """``(n_objects, 6)`` [m]"""
     object_keys: U64
     """``(n_objects,)``: 2**64 - 1 for one without faces."""
+
+
+_NOTHING: Final = LocalClusters(
+    faces=np.zeros(0, np.uint32),
+    cluster_start=np.zeros(1, np.int64),
+    boxes=np.zeros((0, 6), np.float32),
+    keys=np.zeros(0, np.uint64),
+    object_boxes=np.zeros((0, 6), np.float32),
+    object_keys=np.zeros(0, np.uint64),
+)
 
 
 def build_scene_tree(mesh: Mesh) -> SceneTree:
@@ -93,6 +106,8 @@ def local_clusters(mesh: Mesh) -> LocalClusters:
 
 def join_clusters(parts: Sequence[LocalClusters]) -> LocalClusters:
     """Return the clusters of tiles that follow each other, as those of the whole mesh."""
+    if not parts:
+        return _NOTHING
     n_faces = [len(part.faces) for part in parts]
     before = np.cumsum([0, *n_faces[:-1]])
     starts = [part.cluster_start[:-1] + n for part, n in zip(parts, before, strict=True)]
@@ -131,133 +146,192 @@ def scene_tree(local: LocalClusters) -> SceneTree:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class EarlierScene:
+    """A scene as it was, on a grid of the same origin and step."""
+
+    mesh: Mesh
+    tree: SceneTree
+    object_before: I64
+    """``(n_objects,)``: the number of each object as it is now, where both are the same but
+    for where their faces and vertices begin; -1 where not. No number occurs twice."""
+
+
 def updated_scene_tree(
-    mesh: Mesh, previous: SceneTree, previous_face_start: I64, object_before: I64
-) -> SceneTree:
-    """Return what `build_scene_tree` returns of `mesh`, from the tree of an earlier one.
+    earlier: EarlierScene, face_start: I64, fresh: LocalClusters
+) -> SceneTree | None:
+    """Return what `build_scene_tree` returns of a mesh, from the tree of an earlier one.
+
+    None where kept objects follow each other in another order, or half of all faces are new.
 
     Parameters
     ----------
-    mesh : Mesh
-        On a grid of the same origin and step.
-    previous : SceneTree
-        Of the earlier mesh.
-    previous_face_start : ndarray
-        ``(n_objects_before + 1,) int64``: its `object_face_start`.
-    object_before : ndarray
-        ``(n_objects,) int64``: the number of each object in it, where both are the same but
-        for where their faces and vertices begin; -1 where not. No number occurs twice.
+    earlier : EarlierScene
+    face_start : ndarray
+        ``(n_objects + 1,) int64``: `object_face_start` of the mesh.
+    fresh : LocalClusters
+        Of a mesh of the objects that are new, alone.
 
     Notes
     -----
-    O(n) with a small factor, and O(m log n) for m clusters that are new. Where kept objects
-    follow each other in another order, or half of all faces are new, the tree is built.
+    Leaves that stay keep their order, so what is stored of them is copied run by run, and so
+    are the nodes in which all eight leaves are one's before:
+
+        leaves before | kept .... |gone| kept .. | kept ........ |
+        leaves now    | kept .... | kept .. |new | kept ........ |
+        nodes now     [   ][   ][made ][   ][made ][   ][   ][   ]
+
+    O(n) with a small factor, and O(m log n) for m clusters that are new.
     """
-    kept, new = np.flatnonzero(object_before >= 0), np.flatnonzero(object_before < 0)
-    sizes = np.diff(mesh.object_face_start)
-    is_shuffled = len(kept) > 1 and (np.diff(object_before[kept]) <= 0).any()
-    if is_shuffled or 2 * int(sizes[new].sum()) > len(mesh.faces) or not len(previous.faces):
-        return build_scene_tree(mesh)
-    numbers, changed = _objects_alone(mesh, new)
-    fresh = local_clusters(changed)
-    object_boxes = np.empty((len(sizes), 6), np.float32)
-    object_boxes[kept] = previous.object_boxes[object_before[kept]]
+    tree, before = earlier.tree, earlier.object_before
+    kept, new = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
+    is_shuffled = len(kept) > 1 and (np.diff(before[kept]) <= 0).any()
+    if is_shuffled or 2 * len(fresh.faces) > face_start[-1] or not len(tree.faces):
+        return None
+    now = np.full(len(earlier.mesh.object_face_start) - 1, -1)
+    now[before[kept]] = kept
+    object_boxes = np.empty((len(before), 6), np.float32)
+    object_boxes[kept] = tree.object_boxes[before[kept]]
     object_boxes[new] = fresh.object_boxes
-    objects, object_nodes = _objects(object_boxes, _keys(object_boxes, mesh.grid.step_m))
-    # Faces of before, as they are numbered now. Those of objects that are gone have no number.
-    before = object_before[kept]
-    is_gone = np.ones(len(previous_face_start) - 1, np.bool_)
-    is_gone[before] = False
-    shift = np.zeros(len(is_gone), np.int64)
-    shift[before] = mesh.object_face_start[kept] - previous_face_start[before]
-    counts = np.diff(previous_face_start)
-    old_start = previous.cluster_start
-    leaves = np.flatnonzero(~np.repeat(is_gone, counts)[previous.faces[old_start[:-1]]])
-    shift_of_face = np.repeat(shift.astype(np.uint32), counts)  # modulo 2**32
-    pool = previous.faces + shift_of_face.take(previous.faces)
-    order, at = np.argsort(fresh.keys, kind="stable"), np.zeros(0, np.int64)
-    if len(order):
-        search = _LeafSearch(mesh, pool, old_start, leaves)
-        of_cluster = np.repeat(new, -(-sizes[new] // LEAF))
-        at = search.places(fresh.keys[order], of_cluster[order])
-    order = np.insert(leaves, at, order + len(old_start) - 1)
-    pool = np.concatenate([pool, numbers[fresh.faces]])
-    starts = np.concatenate([old_start, old_start[-1] + fresh.cluster_start[1:]])
-    faces, start = _in_order(pool, starts, order)
+    objects, object_nodes = _objects(object_boxes, _keys(object_boxes, earlier.mesh.grid.step_m))
+    leaves = _leaves_now(earlier, now, fresh, new, face_start)
+    numbers, _ = rows_of_runs(face_start, new)
+    fresh_faces = numbers[fresh.faces].astype(np.uint32)
+    old_faces = _renumbered(earlier, now, face_start)
+    faces, start = leaves.joined(
+        (old_faces, tree.cluster_start), (fresh_faces, fresh.cluster_start)
+    )
     return SceneTree(
         objects=objects,
         object_boxes=object_boxes,
         object_nodes=object_nodes,
         faces=faces,
         cluster_start=start,
-        cluster_nodes=_updated_nodes(mesh, previous, faces, start, order),
+        cluster_nodes=_with_nodes_above(_lowest_nodes(earlier, leaves, fresh.boxes)),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _LeafSearch:
-    """Places among leaves in the order of (key, object), whose keys are not at hand."""
+class _Leaves:
+    """The leaves of a tree, as runs of clusters that were its leaves before, and of new ones."""
 
-    mesh: Mesh
-    faces: U32
-    start: I64
-    leaves: I64
-    """Which clusters of `start`, in the order of the tree."""
+    first: I64
+    """``(n_runs,)``: the first cluster of each run; new ones are numbered behind all before."""
+    begin: I64
+    """``(n_runs + 1,)``: where each run's leaves begin."""
+    n_before: int
 
-    def places(self, keys: U64, objects: I64) -> I64:
-        """Return how many leaves come before each of (key, object). O(m log n)."""
-        low, high = np.zeros(len(keys), np.int64), np.full(len(keys), len(self.leaves))
-        while (low < high).any():
-            middle = np.minimum((low + high) // 2, len(self.leaves) - 1)
-            leaf = self.leaves[middle]
-            first = self.faces[self.start[leaf]].astype(np.int64)
-            owner = np.searchsorted(self.mesh.object_face_start, first, side="right") - 1
-            corners, start = _in_order(self.faces, self.start, leaf)
-            boxes = _bounds(self.mesh.positions, self.mesh.faces[corners], start)
-            key = _keys(boxes, self.mesh.grid.step_m)
-            is_before = (key < keys) | ((key == keys) & (owner < objects))
-            is_open = low < high
-            low = np.where(is_open & is_before, middle + 1, low)
-            high = np.where(is_open & ~is_before, middle, high)
-        return low
+    @classmethod
+    def of(cls, kept: I64, at: I64, new: I64, n_before: int) -> _Leaves:
+        """Return kept clusters, with each new one before the leaf ``at``, ascending."""
+        clusters = np.insert(kept, at, n_before + new)
+        cuts = np.flatnonzero((np.diff(clusters) != 1) | (clusters[1:] == n_before)) + 1
+        begin = np.concatenate(([0], cuts, [len(clusters)]))
+        return cls(clusters[begin[:-1]], begin, n_before)
+
+    def __len__(self) -> int:
+        """Return the number of leaves."""
+        return int(self.begin[-1])
+
+    def clusters(self, leaves: I64) -> I64:
+        """Return which clusters some leaves are."""
+        run = np.searchsorted(self.begin, leaves, side="right") - 1
+        return self.first[run] + leaves - self.begin[run]
+
+    def joined(self, old: tuple[U32, I64], new: tuple[U32, I64]) -> tuple[U32, I64]:
+        """Return the faces of all leaves, and where each one's begin, from those of clusters."""
+        faces, starts, at = [np.zeros(0, np.uint32)], [], 0
+        for a, n in zip(self.first.tolist(), np.diff(self.begin).tolist(), strict=True):
+            values, start = old
+            if a >= self.n_before:
+                values, start, a = *new, a - self.n_before
+            ends = start[a : a + n + 1]
+            faces.append(values[ends[0] : ends[-1]])
+            starts.append(ends[:-1] + (at - ends[0]))
+            at += len(faces[-1])
+        return np.concatenate(faces), np.concatenate([*starts, [at]])
 
 
-def _updated_nodes(mesh: Mesh, previous: SceneTree, faces: U32, start: I64, order: I64) -> F32:
+def _leaves_now(
+    earlier: EarlierScene, now: I64, fresh: LocalClusters, new: I64, face_start: I64
+) -> _Leaves:
+    """Return the leaves, which are ordered by key, and by object where keys are the same."""
+    mesh, tree = earlier.mesh, earlier.tree
+    n_before, old_start = len(tree.cluster_start) - 1, mesh.object_face_start
+    is_gone = np.repeat(now < 0, np.diff(old_start))
+    kept = np.flatnonzero(~is_gone[tree.faces[tree.cluster_start[:-1]]])
+    order = np.argsort(fresh.keys, kind="stable")
+    n_clusters = -(-np.diff(face_start)[new] // LEAF)
+    keys, owner = fresh.keys[order], np.repeat(new, n_clusters)[order]
+
+    def is_before(places: I64, which: I64) -> BOOL:
+        corners, start = _in_order(tree.faces, tree.cluster_start, kept[places])
+        boxes = _bounds(mesh.positions, mesh.faces[corners], start)
+        first = corners[start[:-1]].astype(np.int64)
+        theirs = now[np.searchsorted(old_start, first, side="right") - 1]
+        key = _keys(boxes, mesh.grid.step_m)
+        return (key < keys[which]) | ((key == keys[which]) & (theirs < owner[which]))
+
+    return _Leaves.of(kept, _places(len(kept), len(order), is_before), order, n_before)
+
+
+def _places(n: int, n_items: int, is_before: Callable[[I64, I64], BOOL]) -> I64:
+    """Return how many of n, in order, come before each of some items.
+
+    ``is_before(places, items)`` says it of some of the n and of as many items. A few items
+    are compared with many places at a time. O(n_items log n).
+    """
+    low, high = np.zeros(n_items, np.int64), np.full(n_items, n)
+    n_probes = min(_MOST_PROBES, max(1, _PROBES // max(n_items, 1)))
+    shares = np.arange(1, n_probes + 1)
+    while len(item := np.flatnonzero(low < high)):
+        width = high[item] - low[item]
+        places = low[item, None] + width[:, None] * shares // (n_probes + 1)
+        is_less = is_before(places.reshape(-1), np.repeat(item, n_probes)).reshape(places.shape)
+        n_less = is_less.sum(axis=1)
+        row = np.arange(len(item))
+        has_less, has_more = n_less > 0, n_less < n_probes
+        low[item[has_less]] = places[row, n_less - 1][has_less] + 1
+        high[item[has_more]] = places[row, np.minimum(n_less, n_probes - 1)][has_more]
+    return low
+
+
+def _renumbered(earlier: EarlierScene, now: I64, face_start: I64) -> U32:
+    """Return the faces of the earlier tree as they are numbered now, those that are gone anyhow."""
+    old_start = earlier.mesh.object_face_start
+    shift = np.where(now >= 0, face_start[now] - old_start[:-1], 0)
+    if not shift.any():
+        return earlier.tree.faces
+    shift_of_face = np.repeat(shift.astype(np.uint32), np.diff(old_start))  # modulo 2**32
+    return earlier.tree.faces + shift_of_face.take(earlier.tree.faces)
+
+
+def _lowest_nodes(earlier: EarlierScene, leaves: _Leaves, fresh_boxes: F32) -> F32:
     """Return the boxes of nodes: taken over where all eight leaves were one's before."""
-    n_full, n_before = len(order) // LEAF, len(previous.cluster_start) - 1
-    levels = level_starts(len(order))
-    boxes = np.empty((int(levels[1]), 6), np.float32)
-    eights = order[: LEAF * n_full].reshape(n_full, LEAF)
-    # Kept leaves are in order: eight of which the last is seven after the first are whole.
-    is_kept = (eights[:, 0] % LEAF == 0) & (eights < n_before).all(axis=1)
-    is_kept &= eights[:, 7] - eights[:, 0] == LEAF - 1
+    tree, mesh, n_before = earlier.tree, earlier.mesh, leaves.n_before
+    boxes = np.empty((int(level_starts(len(leaves))[1]), 6), np.float32)
     is_new = np.ones(len(boxes), np.bool_)
-    is_new[:n_full] = ~is_kept
-    boxes[:n_full][is_kept] = previous.cluster_nodes[eights[is_kept, 0] // LEAF]
+    begin, end = -(-leaves.begin[:-1] // LEAF), leaves.begin[1:] // LEAF
+    shift, moved_by = np.divmod(leaves.first - leaves.begin[:-1], LEAF)
+    is_alike = (leaves.first < n_before) & (moved_by == 0) & (begin < end)
+    for a, b, n in zip(*(x[is_alike].tolist() for x in (begin, end, shift)), strict=True):
+        boxes[a:b] = tree.cluster_nodes[a + n : b + n]
+        is_new[a:b] = False
     new = np.flatnonzero(is_new)
-    ends = start[np.minimum(LEAF * np.arange(len(boxes) + 1), len(order))]
     positions = read_only(mesh.positions)
 
     def bound(a: int, b: int) -> None:
-        rows, runs = _in_order(faces, ends, new[a:b])
-        boxes[new[a:b]] = _bounds(positions, mesh.faces[rows], runs)
+        inside = LEAF * new[a:b, None] + np.arange(LEAF)
+        clusters = leaves.clusters(inside[inside < len(leaves)])
+        is_old = clusters < n_before
+        corners, start = _in_order(tree.faces, tree.cluster_start, clusters[is_old])
+        of_leaves = np.empty((len(clusters), 6), np.float32)
+        of_leaves[is_old] = _bounds(positions, mesh.faces[corners], start)
+        of_leaves[~is_old] = fresh_boxes[clusters[~is_old] - n_before]
+        boxes[new[a:b]] = _eights(of_leaves)
 
     for_shares(len(new), bound)
-    return _with_nodes_above(boxes)
-
-
-def _objects_alone(mesh: Mesh, objects: I64) -> tuple[U32, Mesh]:
-    """Return the numbers of some objects' faces, and a mesh of them over all vertices."""
-    rows, new_start = rows_of_runs(mesh.object_face_start, objects)
-    alone = Mesh(
-        grid=mesh.grid,
-        positions=mesh.positions,
-        faces=mesh.faces[rows],
-        object_vertex_start=np.zeros(len(objects) + 1, np.int64),
-        object_face_start=new_start,
-        source_face=mesh.source_face[rows],
-    )
-    return rows.astype(np.uint32), alone
+    return boxes
 
 
 def level_starts(n_leaves: int) -> I64:

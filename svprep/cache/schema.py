@@ -458,7 +458,8 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         (L, 5),
         "",
         "What clamping weighed and gained: cost of a vertex, cost of a square metre; surface "
-        "[m^2] of all shadow volumes unclamped, clamped to each caster's own box, and clamped.",
+        "[m^2] of all shadow volumes unclamped, clamped to each caster's own box, and clamped "
+        "(each caster's rounded to 2**(2 e - 40) m^2, 2**e the scene's largest coordinate, up).",
     ),
     DatasetSpec(
         "lights/segment_start",

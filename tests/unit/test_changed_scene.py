@@ -8,13 +8,18 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from svprep.clamp import ClampCosts, clamp_lights, joined
-from svprep.clamp_changes import PreviousClamp, segments_after
+from svprep import clamp_changes
+from svprep import scene_tree as scene_tree_module
+from svprep.clamp import ClampCosts, clamp_changed, clamp_lights, joined
+from svprep.clamp_changes import PreviousClamp, SceneParts, TakenOver, taken_over
+from svprep.errors import InputError
 from svprep.hilbert import hilbert_keys
 from svprep.light import parse_light
 from svprep.model import Mesh, Prepared, SceneTree, SourceMesh
 from svprep.pipeline import BuildConfig, prepare
+from svprep.ranges import rows_of_runs
 from svprep.scene_tree import (
+    EarlierScene,
     build_scene_tree,
     join_clusters,
     local_clusters,
@@ -72,6 +77,16 @@ def on_one_grid(parts: list[SourceMesh], mesh: Mesh | None = None) -> Prepared:
         return prepare(source, BuildConfig())
 
 
+def parts_of(city: Prepared) -> SceneParts:
+    mesh, components = city.mesh, city.components
+    return SceneParts(
+        tree=city.scene,
+        object_start=components.object_start,
+        face_start=components.face_start,
+        points_of=lambda faces: mesh.positions[mesh.faces[faces].reshape(-1)],
+    )
+
+
 def previous_of(old: Prepared, new: Prepared, before: np.ndarray, table: object) -> PreviousClamp:
     parts = [
         np.arange(*old.components.object_start[i : i + 2])
@@ -81,8 +96,31 @@ def previous_of(old: Prepared, new: Prepared, before: np.ndarray, table: object)
     ]
     gone = np.setdiff1d(np.arange(len(old.scene.objects)), before)
     boxes = [old.scene.object_boxes[gone], new.scene.object_boxes[before < 0]]
+    caster_before = np.concatenate(parts)
     return PreviousClamp(
-        table, np.concatenate(parts), np.concatenate(boxes), old.scene.cluster_nodes[-1]
+        table=table,
+        then=parts_of(old),
+        now=parts_of(new),
+        caster_before=caster_before,
+        casters_gone=np.setdiff1d(np.arange(len(old.components.flags)), caster_before),
+        changed_boxes=np.concatenate(boxes),
+    )
+
+
+def updated(old: Prepared, new: Prepared, before: np.ndarray) -> SceneTree | None:
+    """Return the tree of a changed town from the one before."""
+    mesh = new.mesh
+    start, chosen = mesh.object_face_start, np.flatnonzero(before < 0)
+    rows, face_start = rows_of_runs(start, chosen)
+    alone = replace(
+        mesh,
+        faces=mesh.faces[rows],
+        object_face_start=face_start,
+        object_vertex_start=np.zeros(len(chosen) + 1, np.int64),
+        source_face=mesh.source_face[rows],
+    )
+    return updated_scene_tree(
+        EarlierScene(old.mesh, old.scene, before), start, local_clusters(alone)
     )
 
 
@@ -96,6 +134,13 @@ def assert_trees_alike(one: SceneTree, other: SceneTree) -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_scene_is_as_if_built_from_nothing(kind: str, seed: int) -> None:
+    kept = check_changed(kind, seed)
+    # What is farther may end the scene elsewhere, and with it every volume.
+    assert all(one.units is not None for one in kept) or kind == "farther"
+
+
+def check_changed(kind: str, seed: int) -> list[TakenOver]:
+    """Change a town, compare its trees and lights, and return what was taken over."""
     parts = town(seed)
     old = on_one_grid([*parts, moved(cube(2.0), (1500.0, 1500.0, 0.0))])
     if kind != "farther":  # else the far corner goes, and with it the pad
@@ -103,24 +148,62 @@ def test_a_changed_scene_is_as_if_built_from_nothing(kind: str, seed: int) -> No
     objects, numbers = edited(kind, parts, seed)
     new, before = on_one_grid(objects, old.mesh), np.array(numbers)
     assert new.mesh.grid.step_m == old.mesh.grid.step_m
-    tree = updated_scene_tree(new.mesh, old.scene, old.mesh.object_face_start, before)
-    assert_trees_alike(tree, build_scene_tree(new.mesh))
-    assert_trees_alike(tree, new.scene)
+    tree = updated(old, new, before)
+    assert (tree is None) == (kind == "reorder")
+    assert_trees_alike(tree or new.scene, build_scene_tree(new.mesh))
     lights = [parse_light(spec) for spec in LIGHTS]
     tables = [
         clamp_lights(one.mesh, one.components, one.scene, lights, ANY_GAP) for one in (old, new)
     ]
-    taken = []
-    with patch(
-        "svprep.clamp.segments_after", lambda *a: taken.append(segments_after(*a)) or taken[-1]
-    ):
-        again = clamp_lights(
-            new.mesh, new.components, tree, lights, ANY_GAP,
-            previous=previous_of(old, new, before, tables[0]),
+    found: list[TakenOver | None] = []
+    with patch("svprep.clamp.taken_over", lambda *a: found.append(taken_over(*a)) or found[-1]):
+        again = clamp_changed(
+            previous_of(old, new, before, tables[0]), lambda: (new.mesh, new.components),
+            new.mesh.grid, lights, ANY_GAP,
         )  # fmt: skip
     assert_same(again, tables[1])
-    if kind != "farther":
-        assert sum(one is not None for one in taken) >= 2  # a lamp may see a change everywhere
+    kept = [one for one in found if one is not None]
+    assert len(kept) >= 2 or kind == "farther"  # a lamp may see a change everywhere
+    return kept
+
+
+def test_however_many_runs_probes_and_nodes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("_MOST_SLICES", 1), ("_MOST_DEEPEST", 0), ("_FIRST_DEEPEST", 1)):
+        monkeypatch.setattr(clamp_changes, name, value)
+    monkeypatch.setattr(scene_tree_module, "_PROBES", 1)
+    for kind in ("change", "add"):
+        assert any(one.units is None for one in check_changed(kind, 2))
+
+
+def test_surfaces_that_were_counted_in_another_way_are_summed_anew() -> None:
+    town_now = on_one_grid(town(4))
+    lights = [parse_light(spec) for spec in LIGHTS]
+    expected = clamp_lights(town_now.mesh, town_now.components, town_now.scene, lights)
+    table = replace(expected, facts=expected.facts + [0.0, 0.0, 1e-7, 1e-7, 1e-7])
+    everyone = np.arange(len(town_now.scene.objects))
+    previous = previous_of(town_now, town_now, everyone, table)
+    whole = town_now.mesh, town_now.components
+    assert_same(clamp_changed(previous, lambda: whole, town_now.mesh.grid, lights), expected)
+
+
+def test_a_lamp_on_a_vertex_is_refused_as_ever() -> None:
+    city = on_one_grid(town(5))
+    sun = parse_light(LIGHTS[0])
+    x, y, z = (city.mesh.positions[100] + city.mesh.grid.origin_m).tolist()
+    lamp = parse_light(f"point:{x!r},{y!r},{z!r}")
+    arguments = city.mesh, city.components, city.scene
+    table = clamp_lights(*arguments, [sun])
+    table = replace(table, lights=np.array([lamp.in_cache_frame(city.mesh.grid)]))
+    previous = previous_of(city, city, np.arange(len(city.scene.objects)), table)
+    errors = []
+    for do in (
+        lambda: clamp_lights(*arguments, [lamp]),
+        lambda: clamp_changed(previous, lambda: arguments[:2], city.mesh.grid, [lamp]),
+    ):
+        with pytest.raises(InputError, match="lies exactly on a vertex") as caught:
+            do()
+        errors.append(str(caught.value))
+    assert errors[0] == errors[1]
 
 
 def test_only_lights_of_the_same_costs_are_taken_over() -> None:
@@ -132,7 +215,11 @@ def test_only_lights_of_the_same_costs_are_taken_over() -> None:
     previous = previous_of(old, old, everyone, joined(table, table))
     for costs in (ANY_GAP, ClampCosts()):
         expected = clamp_lights(*arguments, [lamp, sun], costs)
-        assert_same(clamp_lights(*arguments, [lamp, sun], costs, previous=previous), expected)
+        mesh, components, _ = arguments
+        found = clamp_changed(
+            previous, lambda m=mesh, c=components: (m, c), mesh.grid, [lamp, sun], costs
+        )
+        assert_same(found, expected)
 
 
 def test_tiles_join_to_the_whole() -> None:

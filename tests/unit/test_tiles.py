@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from svprep import building, older, pipeline
 from svprep.cache.codec import object_datasets
-from svprep.cache.reader import open_cache
+from svprep.cache.reader import Cache, open_cache
 from svprep.cache.runs import PER_OBJECT, Joined, whole_run
+from svprep.cache.writer import rewrite_cache
 from svprep.content import source_digests
 from svprep.errors import CacheError, EnvironmentProblem
 from svprep.ingest import read
@@ -253,6 +254,26 @@ def test_another_grid_tolerance_or_light_is_built_anew(tmp_path: Path) -> None:
     written([*town(), box("far", (9000.0, 0.0))], source)
     (remark,) = build([source], cache).remarks
     assert "the model's outermost box changed" in remark
+
+
+def test_a_cache_that_contradicts_itself_is_passed_over(tmp_path: Path) -> None:
+    source, cache = written(town(), tmp_path / "town.obj"), tmp_path / "town.svp.h5"
+    expected = built(source, cache).cache.content_digest
+    for path in ("scene/face", "lights/segment_start", "clamp/segment_start"):
+
+        def change(opened: Cache, path: str = path) -> dict[str, np.ndarray]:
+            array = opened.raw(path).copy()
+            array[..., -1] += 1_000_000
+            return {path: array}
+
+        rewrite_cache(cache, change)
+        done = built(source, cache)
+        assert done.reused == 0
+        assert done.remarks == (
+            "nothing is taken over from the older cache: it is damaged, or not of this svprep's "
+            "schema",
+        )
+        assert done.cache.content_digest == expected
 
 
 def test_a_cache_of_no_use_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
