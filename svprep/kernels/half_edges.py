@@ -345,7 +345,9 @@ def rebuild_faces(faces, is_flipped, mate, order, rebuilt, rebuilt_mate, old_ver
     new_face = np.empty(len(faces), np.int32)
     for i in range(len(order)):
         new_face[order[i]] = i
-    new_vertex = np.full(len(old_vertex), np.uint32(0xFFFFFFFF), np.uint32)
+    new_vertex = np.empty(len(old_vertex), np.uint32)  # np.full takes longer to compile
+    for v in range(len(old_vertex)):
+        new_vertex[v] = 0xFFFFFFFF
     n_vertices = 0
     for i in range(len(order)):
         f = order[i]

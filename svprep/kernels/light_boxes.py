@@ -25,8 +25,12 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 _INF = np.float32(np.inf)
+_LEAST = (0, 2)
+"""Which numbers of a box are least ones; the others are most ones."""
+_EMPTY_BOX = np.array([[_INF], [-_INF], [_INF], [-_INF], [-_INF]], np.float32)
 _LEAST_TILT = 0.02
 """A face steeper to the light than this sine (1.1 degrees) gives no slab: slopes stay below 50."""
 
@@ -139,8 +143,9 @@ def bound_clusters(placed, faces, order, start, normals, frame, pad, first, last
         slabs[i, 4] = t0 - pad
 
 
-@njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-def raise_levels(level_start, n_levels, n_clusters, blocks):
+def raise_levels(
+    level_start: NDArray[np.int64], n_levels: int, n_clusters: int, blocks: NDArray[np.float32]
+) -> None:
     """Empty the unused lanes of level 0 and write the levels above it.
 
     Parameters
@@ -149,23 +154,23 @@ def raise_levels(level_start, n_levels, n_clusters, blocks):
         ``(n_levels + 1,) int64``: where each level's blocks begin.
     blocks : ndarray
         ``(n_blocks, 5, 8) float32``: level 0 is read.
+
+    Notes
+    -----
+    NumPy does it in half a millisecond for a city, and needs no compiling.
     """
-    for i in range(n_clusters, 8 * level_start[1]):
-        for r in range(5):
-            blocks[i // 8, r, i % 8] = _INF if r % 2 == 0 and r < 4 else -_INF
+    last = level_start[1] - 1
+    blocks[last, :, n_clusters - 8 * last :] = _EMPTY_BOX
     for level in range(1, n_levels):
-        below = level_start[level - 1]
-        n_below = level_start[level] - below
-        for i in range(8 * (level_start[level + 1] - level_start[level])):
-            block, lane = level_start[level] + i // 8, i % 8
-            for r in range(5):
-                is_low = r % 2 == 0 and r < 4
-                value = _INF if is_low else -_INF
-                if i < n_below:
-                    for k in range(8):
-                        other = blocks[below + i, r, k]
-                        value = min(value, other) if is_low else max(value, other)
-                blocks[block, r, lane] = value
+        below = blocks[level_start[level - 1] : level_start[level]]
+        own = blocks[level_start[level] : level_start[level + 1]]
+        for i in range(5):
+            lanes = np.full(8 * len(own), _EMPTY_BOX[i, 0])
+            extreme = np.minimum if i in _LEAST else np.maximum
+            bounds = extreme(below[:, i, :4], below[:, i, 4:])
+            bounds = extreme(bounds[:, :2], bounds[:, 2:])
+            lanes[: len(below)] = extreme(bounds[:, 0], bounds[:, 1])
+            own[:, i] = lanes.reshape(-1, 8)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)

@@ -120,7 +120,8 @@ def grow_planes(
         a = grid_positions[faces[seed, 0]]
         length2 = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
         limit = tolerance_steps * math.sqrt(length2)
-        tilt2 = math.sin(most_tilt_rad) ** 2 * length2
+        sine = math.sin(most_tilt_rad)
+        tilt2 = sine * sine * length2  # a power would be compiled as a loop
         seed_of_face[seed] = seed
         stack[0] = seed
         depth = 1

@@ -6,9 +6,14 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
+import pytest
+from numba.core import typed_passes, untyped_passes
+
 from svprep import warm
+from svprep.kernels.rows import counting_order
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = """
@@ -64,10 +69,22 @@ counting_order(groups, 2, order, start)
 n_loaded = sum(counting_order.stats.cache_hits.values())
 print(order.tolist(), "numba.np.arraymath" in sys.modules, n_loaded)
 """
+FORKED = """
+import gc, os, time
+from svprep.kernels.rows import counting_order
+warm.SIGNATURES = {name: warm.SIGNATURES[name] for name in ["rows.counting_order"]}
+with warm.second_compiler():
+    is_collecting = gc.isenabled()
+    until = time.monotonic() + 60
+    while not warm._is_compiled([]) and time.monotonic() < until:
+        time.sleep(0.02)
+try:
+    os.waitpid(-1, 0)
+except ChildProcessError:
+    print(warm._is_compiled([]), is_collecting, gc.isenabled(), len(counting_order.overloads))
+"""
 EARLY = {
     "content.digest_objects",
-    "light_boxes.place_vertices",
-    "half_edges.rebuild_faces",
     "obj_parser.parse_obj",
     "rows.first_equal_row",
     "rows.weld_corners",
@@ -101,6 +118,43 @@ def test_what_is_compiled_ahead_is_then_loaded_without_the_compiler(tmp_path: Pa
     place = {"NUMBA_CACHE_DIR": str(tmp_path)}
     assert int(run(COMPILED, **place)) >= 1
     assert run(LOADED, **place) == "[1, 0, 2] False 1\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a new process is started")
+def test_the_second_compiler_is_a_fork_that_ends_with_the_build(tmp_path: Path) -> None:
+    place = {"NUMBA_CACHE_DIR": str(tmp_path), "SVPREP_THREADS": "2"}
+    assert run(FORKED, **place) == "True False True 0\n"
+
+
+def test_no_kernel_is_compiled_by_both_processes() -> None:
+    claims, made = warm.Claims(["a", "b", "c"]), []
+    assert not claims.is_made("b")  # the build compiles it
+    assert not claims.is_made("of no list")
+    makers = {name: partial(made.append, name) for name in "abc"}
+    claims.compile_free(makers)
+    assert made == ["a", "c"]
+    assert [claims.is_made(name) for name in "abc"] == [True, False, True]
+
+
+def test_the_build_waits_for_a_kernel_that_is_being_compiled_and_for_no_dead_process() -> None:
+    claims, asked = warm.Claims(["a"]), []
+
+    def at_work() -> None:
+        claims.is_second_running = lambda: bool(asked.append(1)) or len(asked) < 3
+        assert not claims.is_made("a")  # the process has ended before it was done
+
+    claims.compile_free({"a": at_work})
+    assert len(asked) == 3
+
+
+def test_numbas_caches_say_what_they_are_for() -> None:
+    assert warm._name_of(counting_order._cache) == "rows.counting_order"
+
+
+def test_passes_that_are_left_out_are_numbas() -> None:
+    # By name: with a Numba that calls them otherwise, first builds would take longer again.
+    here = {*vars(untyped_passes), *vars(typed_passes)}
+    assert here >= warm.IDLE_PASSES
 
 
 def test_kernels_of_lights_are_compiled_for_such_lights_only() -> None:
