@@ -71,6 +71,7 @@ from svprep.tiles import (
     TILE_STAGES,
     TileTables,
     cut,
+    faces_of_a_tile,
     prepare_tile,
     selected_objects,
     tile_of,
@@ -217,7 +218,7 @@ def read_and_compare(
                 before = objects_before(found, digests, grid, config.weld_tolerance_m)
         except OfNoUse as why:
             found, of_no_use = None, str(why)  # its tables are held no longer
-    most_faces = FACES if room is None else room.faces_per_tile
+    most_faces = faces_of_a_tile(len(source.faces)) if room is None else room.faces_per_tile
     tolerance_m = config.weld_tolerance_m
     return Plan(source, grid, tolerance_m, found, before, most_faces, room, of_no_use)
 

@@ -157,8 +157,7 @@ def build(
     order = cli_build.Order(
         inputs, output, config, light or [], costs, report, memory_bytes, is_full=full
     )
-    with progress() as tell:
-        summary = cli_build.build(order, tell)
+    summary = cli_build.build(order, progress)
     show(summary, cli_build.build_lines(summary), as_json=as_json)
     if report is not None and not as_json:
         print(f"report   {report}")

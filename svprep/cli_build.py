@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from collections.abc import Callable, Sequence
@@ -105,8 +106,13 @@ def config_of(
     return pipeline.BuildConfig(weld_tolerance_m, reading)
 
 
-def build(order: Order, tell: Tell) -> dict[str, Any]:
+def build(
+    order: Order, progress: Callable[[], contextlib.AbstractContextManager[Tell]]
+) -> dict[str, Any]:
     """Build a cache, write its report, and return what ``--json`` prints.
+
+    `progress` is begun when kernels are being seen to: it may start a thread, beside which no
+    second compiler could be forked.
 
     Raises
     ------
@@ -124,7 +130,7 @@ def build(order: Order, tell: Tell) -> dict[str, Any]:
     load_without_compiler()
     if order.memory_bytes is None:
         keep_free_memory()
-    with second_compiler(order.lights):
+    with second_compiler(order.lights), progress() as tell:
         result = pipeline.build(
             order.inputs,
             order.output,

@@ -21,6 +21,7 @@ from svprep.cache.codec import object_datasets
 from svprep.content import source_digests
 from svprep.edges import build_edges
 from svprep.model import I64, FaceFindings, Grid, ObjectTables, SourceMesh
+from svprep.parallel import thread_count
 from svprep.planes import build_planes
 from svprep.ranges import rows_of_runs
 from svprep.repair.stage import record, repair
@@ -36,6 +37,9 @@ SHARES: Final = ("scene tree", "write")
 """Later stages of which a tile does a share: its clusters, and the form that is stored."""
 FACES: Final = 1 << 15
 """Of a tile, if its objects are smaller: what it is made of fits the processor's cache."""
+MOST_FACES: Final = 1 << 16
+"""Where each thread has several tiles all the same: there are fewer calls for a face."""
+_TILES_PER_THREAD: Final = 4
 BYTES_PER_FACE: Final = 700
 """What preparing a tile holds at its peak."""
 
@@ -62,6 +66,12 @@ class TileTables:
     clusters: LocalClusters
     seconds: dict[str, float]
     """Wall seconds of each of `TILE_STAGES`, and of `SHARES`."""
+
+
+def faces_of_a_tile(n_faces: int) -> int:
+    """Return how many faces a tile may have, of so many in all. The tables are the same."""
+    share = n_faces // (_TILES_PER_THREAD * thread_count())
+    return min(max(share, FACES), MOST_FACES)
 
 
 def cut(face_start: I64, most_faces: int = FACES) -> list[tuple[int, int]]:
