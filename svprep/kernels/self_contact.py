@@ -149,11 +149,36 @@ def _is_folded(p, s, t):
 
 
 @_helper
-def _triangles_touch(p, triangles, is_flat, scratch):
+def _wedges_meet(p, s, t, normal, f):
+    """Whether coplanar triangles that share corner 0 alone meet elsewhere, too.
+
+    They do iff their wedges at that corner meet, so iff a ray that bounds one of these lies
+    in the other. Seen along the dominant axis of row f of `normal`.
+    """
+    axis = 1 if abs(normal[f, 1]) > abs(normal[f, 0]) else 0
+    if abs(normal[f, 2]) > abs(normal[f, axis]):
+        axis = 2
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    v = s[0]
+    for k in range(2):
+        a, b = (s[1], s[2]) if k == 0 else (t[1], t[2])
+        ai, aj = p[a, i] - p[v, i], p[a, j] - p[v, j]
+        bi, bj = p[b, i] - p[v, i], p[b, j] - p[v, j]
+        turn = 1 if ai * bj - aj * bi > 0 else -1
+        for m in range(1, 3):
+            x = t[m] if k == 0 else s[m]
+            xi, xj = p[x, i] - p[v, i], p[x, j] - p[v, j]
+            if turn * (ai * xj - aj * xi) >= 0 and turn * (xi * bj - xj * bi) >= 0:
+                return True
+    return False
+
+
+@_helper
+def _triangles_touch(p, triangles, is_flat, scratch, normal, f):
     """Whether two triangles meet elsewhere than in the corners they share.
 
     ``triangles (2, 3)``: rows of `p`, each reordered here so that shared
-    corners come first. `is_flat`: they lie in one plane.
+    corners come first. `is_flat`: they lie in one plane, whose normal is row f of `normal`.
     """
     s = triangles[0]
     t = triangles[1]
@@ -169,6 +194,8 @@ def _triangles_touch(p, triangles, is_flat, scratch):
         return True
     if shared == 2:
         return is_flat and _is_folded(p, s, t)
+    if shared == 1 and is_flat:
+        return _wedges_meet(p, s, t, normal, f)
     # With one corner shared, only the edges opposite to it tell.
     for k in range(shared, 6, 3 if shared == 1 else 1):
         if _edge_meets(p, triangles, k // 3, k % 3, scratch):
@@ -177,12 +204,13 @@ def _triangles_touch(p, triangles, is_flat, scratch):
 
 
 @_helper
-def _contact(p, corners, normal, f, g):
+def _contact(p, corners, normal, is_small, f, g):
     """Tell where face g meets the plane of face f, corners they share aside.
 
     0: nowhere; 1: in one corner only, and none is shared; 3: g lies in the plane; 2: else.
     ``corners (n, 3)``: rows of `p`; ``normal (n, 3)``: ``(b - a) x (c - a)``; signs are
-    exact as in `_side`.
+    exact as in `_side`. `is_small`: coordinates differ by less than 2**20, and one int64
+    holds each product and their sum.
     """
     s0, s1, s2 = corners[f, 0], corners[f, 1], corners[f, 2]
     nx, ny, nz = normal[f, 0], normal[f, 1], normal[f, 2]
@@ -191,18 +219,20 @@ def _contact(p, corners, normal, f, g):
     n_below = 0
     for c in range(3):
         x = corners[g, c]
-        if x == s0 or x == s1 or x == s2:
-            n_shared += 1
-            continue
+        is_shared = (x == s0) | (x == s1) | (x == s2)
+        n_shared += is_shared
         dx = p[x, 0] - p[s0, 0]
         dy = p[x, 1] - p[s0, 1]
         dz = p[x, 2] - p[s0, 2]
-        low = (nx & 0x3FFFFFF) * dx + (ny & 0x3FFFFFF) * dy + (nz & 0x3FFFFFF) * dz
-        high = (nx >> 26) * dx + (ny >> 26) * dy + (nz >> 26) * dz + (low >> 26)
-        if high < 0:
-            n_below += 1
-        elif high > 0 or (low & 0x3FFFFFF) != 0:
-            n_above += 1
+        low = 0
+        if is_small:
+            high = nx * dx + ny * dy + nz * dz
+        else:
+            low = (nx & 0x3FFFFFF) * dx + (ny & 0x3FFFFFF) * dy + (nz & 0x3FFFFFF) * dz
+            high = (nx >> 26) * dx + (ny >> 26) * dy + (nz >> 26) * dz + (low >> 26)
+            low &= 0x3FFFFFF
+        n_below += high < 0
+        n_above += (high > 0) | ((high == 0) & (low != 0))
     if n_above + n_below == 0:
         return 3
     if n_above > 0 and n_below > 0:
@@ -309,6 +339,9 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
                 node_range[n_nodes + 1, 1] = hi
                 n_nodes += 2
             node += 1
+        is_small = True
+        for axis in range(3):
+            is_small &= node_box[0, axis + 3] - node_box[0, axis] < 0x100000
         # Meet the tree with itself.
         found = False
         pairs_left = 4_000_000 + 512 * n
@@ -333,17 +366,19 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
                         g = index[j]
                         if _boxes_apart(box, f, box, g):
                             continue
-                        contact = _contact(points, corners, normal, f, g)
+                        contact = _contact(points, corners, normal, is_small, f, g)
                         if contact == 0:
                             continue
-                        back = _contact(points, corners, normal, g, f)
+                        back = contact
+                        if contact != 3:
+                            back = _contact(points, corners, normal, is_small, g, f)
                         # Two single corners are two places: one place were a shared corner.
                         if back == 0 or (contact == 1 and back == 1):
                             continue
                         for c in range(3):
                             triangles[0, c] = corners[f, c]
                             triangles[1, c] = corners[g, c]
-                        if _triangles_touch(points, triangles, contact == 3, scratch):
+                        if _triangles_touch(points, triangles, contact == 3, scratch, normal, f):
                             found = True
                             break
                     if found:
