@@ -94,16 +94,17 @@ def test_triangles_across_the_whole_grid(triangles: np.ndarray) -> None:
     check_pairs(triangles)
 
 
-def test_near_misses_across_the_whole_grid() -> None:
-    """A corner one step above, on, and below a slanted plane 2**25 steps wide."""
+@pytest.mark.parametrize("far", [FAR, 2**19 - 1], ids=["in halves", "in one int64"])
+def test_near_misses_across_a_wide_plane(far: int) -> None:
+    """A corner one step above, on, and below a slanted plane; numbers just fit int64."""
     rng = np.random.default_rng(6)
     triangles = []
     for _ in range(300):
-        p = rng.integers(-FAR, FAR + 1, (3, 3))
+        p = rng.integers(-far, far + 1, (3, 3))
         weights = rng.dirichlet((1, 1, 1))
         tip = np.round(weights @ p).astype(int)
         tip[rng.integers(0, 3)] += rng.integers(-1, 2)
-        away = rng.integers(-FAR, FAR + 1, (2, 3))
+        away = rng.integers(-far, far + 1, (2, 3))
         triangles += [p, np.vstack((tip, away))]
     n_touching = check_pairs(np.array(triangles))
     assert 100 < n_touching < 290
