@@ -20,6 +20,7 @@ from svprep.model import (
     SilhouetteTree,
 )
 from svprep.parallel import for_ranges, run_together
+from svprep.ranges import rows_of_runs
 from svprep.silhouette.trees import LEAF, tree_starts
 
 FEWEST_PAIRS = 512
@@ -145,12 +146,16 @@ def searched_pairs(is_searched: np.ndarray, object_edge: I64, objects: I64) -> U
 def _frames(mesh: Mesh, objects: I64, tolerance_m: float) -> F32:
     """Return the centre of each object's box and its radius, ``(n, 4) float32`` [m]."""
     frames = np.empty((len(objects), 4), np.float32)
-    for i, k in enumerate(objects.tolist()):
-        points = mesh.positions[mesh.object_vertex_start[k] : mesh.object_vertex_start[k + 1]]
-        frames[i, :3] = (points.min(axis=0).astype(np.float64) + points.max(axis=0)) / 2.0
-        away = points - frames[i, :3].astype(np.float64)
-        radius = np.sqrt((away**2).sum(axis=1).max())
-        frames[i, 3] = max(radius, 2.0 * tolerance_m, mesh.grid.step_m) * (1.0 + 1e-6)
+    if not len(objects):
+        return frames
+    rows, start = rows_of_runs(mesh.object_vertex_start, objects)
+    points, first = mesh.positions.take(rows, axis=0), start[:-1]
+    low = np.minimum.reduceat(points, first, axis=0).astype(np.float64)
+    frames[:, :3] = (low + np.maximum.reduceat(points, first, axis=0)) / 2.0
+    away = points - np.repeat(frames[:, :3].astype(np.float64), np.diff(start), axis=0)
+    radius = np.sqrt(np.maximum.reduceat((away**2).sum(axis=1), first))
+    least = max(2.0 * tolerance_m, mesh.grid.step_m)
+    frames[:, 3] = np.maximum(radius, least) * (1.0 + 1e-6)
     return frames
 
 
