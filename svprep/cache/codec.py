@@ -560,6 +560,9 @@ def decode_place(crs: str, place: Any) -> Place:
 
 def _texts(text_bytes: Raw, start: Raw) -> tuple[str, ...]:
     blob = text_bytes.tobytes()
+    if blob.isascii():
+        text = blob.decode()
+        return tuple([text[a:b] for a, b in pairwise(start.tolist())])
     return tuple(blob[a:b].decode("utf-8", "surrogateescape") for a, b in pairwise(start.tolist()))
 
 
