@@ -116,7 +116,9 @@ def clamp_changed(
     whole : callable
         Gives the mesh and the components of the scene as it is: called where a light cannot
         be taken over.
-    grid, lights, costs
+    grid
+        Of the mesh.
+    lights, costs
         As for `clamp_lights`, which names the errors.
     """
     prices = (costs or ClampCosts()).prices

@@ -257,7 +257,7 @@ def _chunks(n_casters: int) -> list[int]:
     return [*range(0, n_casters, _CHUNK), n_casters]
 
 
-def each_chunk(n_casters: int, work: Callable[[int, int], object]) -> None:
+def _each_chunk(n_casters: int, work: Callable[[int, int], object]) -> None:
     """Call ``work(begin, end)`` on all casters, chunk by chunk on all threads."""
     cuts = _chunks(n_casters)
     for_each(len(cuts) - 1, lambda i: work(cuts[i], cuts[i + 1]))
@@ -274,7 +274,7 @@ def _chunk_by_chunk(n_casters: int, work: Callable[[int, int, U32, F32, I16], in
         n = work(a, b, counts, depths, slopes)
         parts[a] = Segments(counts, depths[:n].copy(), slopes[:n].copy())
 
-    each_chunk(n_casters, do)
+    _each_chunk(n_casters, do)
     ordered = [parts[a] for a in _chunks(n_casters)[:-1]]
     return Segments(
         counts=np.concatenate([np.zeros(0, np.uint32), *(part.counts for part in ordered)]),
@@ -304,7 +304,7 @@ def _units_of_chunks(
         # Less than none, by rounding, would make a sum of some more than the sum of all.
         sums[a] = np.array([np.maximum(units, 0.0).sum() for units in areas])
 
-    each_chunk(n_casters, do)
+    _each_chunk(n_casters, do)
     total = np.zeros(3)
     for a in _chunks(n_casters)[:-1]:
         total += sums[a]

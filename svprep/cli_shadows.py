@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from svprep.cache.reader import Cache, open_cache
 from svprep.cli_render import IMAGE, ViewOptions, png, request_of, require_pillow
 from svprep.errors import require_extra
 from svprep.light import Light
-from svprep.model import I64, U8
 from svprep.output_file import write_whole
+
+if TYPE_CHECKING:
+    from svprep_runtime.judge_report import Comparison, Truth
 
 _LEAST_SHARE: Final = 0.6
 _MOST_LISTED: Final = 12
@@ -40,6 +43,7 @@ def judge(
 
     try:
         from svprep_runtime.judge import JUDGE_CONSTANTS, Judge, compare, difference_picture
+        from svprep_runtime.judge_causes import causes_of
     except ImportError as error:
         raise require_extra(error.name or "embreex", "judge", "validate --shadows") from None
 
@@ -55,32 +59,18 @@ def judge(
         judged = []
         for i, light in enumerate(request.lights):
             tell(f"judging light {i + 1} of {len(request.lights)}", 1 + i, 1 + len(request.lights))
-            truth = rays.truth(drawn.camera, light.in_cache_frame(cache.grid))
+            vector = light.in_cache_frame(cache.grid)
+            truth = rays.truth(drawn.camera, vector)
             mask = np.where(drawn.picture.in_shadow[i], 255, 0).astype(np.uint8)
             compared = compare(truth, mask, drawn.picture.is_surface)
-            causes = _causes(cache, drawn.camera, light, truth, mask, compared.differing)
+            causes = causes_of(
+                cache.mesh, cache.planes, drawn.camera, vector, truth, mask, compared.differing
+            )
             if difference is not None and (compared.n_differing or i == 0):
                 picture = difference_picture(truth, mask)
                 write_whole(IMAGE.checked_path(difference, [path]), [png(picture)])
-            judged.append(
-                {
-                    "spec": light.spec,
-                    "words": light.words,
-                    "surface_pixels": compared.n_surface,
-                    "decidable_pixels": compared.n_decidable,
-                    "decidable_share": round(compared.decidable_share, 6),
-                    "differing_pixels": compared.n_differing,
-                    "differing": [
-                        _pixel(cache, truth, int(y), int(x)) | {"cause": cause}
-                        for (y, x), cause in zip(compared.differing, causes, strict=True)
-                    ],
-                    "shadow_in_sky": compared.n_shadow_in_sky,
-                    "negative_counts": drawn.picture.tallies[i].n_negative,
-                    "overlaps": [
-                        {"objects": list(o.names), "pixels": o.pixels} for o in truth.overlaps
-                    ],
-                }
-            )
+            n_negative = drawn.picture.tallies[i].n_negative
+            judged.append(_light(cache, light, truth, compared, causes, n_negative))
         return {
             "cache": str(path),
             "size": [view.width_px, view.height_px],
@@ -94,23 +84,33 @@ def judge(
         }
 
 
-def _causes(
-    cache: Cache, camera: Any, light: Light, truth: Any, mask: U8, differing: I64
-) -> list[str]:
-    """Return why each pixel differs, of rows and columns; "" behind the first few."""
-    from svprep_runtime.judge_causes import MOST_TRACED, Tracer
+def _light(
+    cache: Cache,
+    light: Light,
+    truth: Truth,
+    compared: Comparison,
+    causes: Sequence[str],
+    n_negative: int,
+) -> dict[str, Any]:
+    """Return what is said of one light; `causes` are of the first pixels that differ."""
+    pixels = zip_longest(compared.differing.tolist(), causes)
+    return {
+        "spec": light.spec,
+        "words": light.words,
+        "surface_pixels": compared.n_surface,
+        "decidable_pixels": compared.n_decidable,
+        "decidable_share": round(compared.decidable_share, 6),
+        "differing_pixels": compared.n_differing,
+        "differing": [
+            _pixel(cache, truth, *place) | {"cause": cause or ""} for place, cause in pixels
+        ],
+        "shadow_in_sky": compared.n_shadow_in_sky,
+        "negative_counts": n_negative,
+        "overlaps": [{"objects": list(o.names), "pixels": o.pixels} for o in truth.overlaps],
+    }
 
-    if not len(differing):
-        return []
-    tracer = Tracer(cache.mesh, cache.planes, camera, light.in_cache_frame(cache.grid))
-    first = [
-        tracer.cause(x, y, drawn=bool(mask[y, x]), face_judged=int(truth.face[y, x]))
-        for y, x in differing[:MOST_TRACED].tolist()
-    ]
-    return first + [""] * (len(differing) - len(first))
 
-
-def _pixel(cache: Cache, truth: Any, row: int, column: int) -> dict[str, Any]:
+def _pixel(cache: Cache, truth: Truth, row: int, column: int) -> dict[str, Any]:
     """Return where a differing pixel is, and which object it shows."""
     import numpy as np
 

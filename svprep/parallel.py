@@ -36,7 +36,8 @@ _SMALLEST_SHARE = 20_000
 
 
 _THREAD = threading.local()
-"""``is_alone``: whether this thread shares its work with no other one."""
+"""``is_alone``: whether this thread shares its work with no other one; ``is_helper``: whether
+it is one of those that `run_together` shares work with."""
 
 
 def thread_count() -> int:
@@ -100,9 +101,12 @@ def for_ranges(start: I64, work: Callable[[int, int], object]) -> None:
 def run_together(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Run `tasks` at the same time, the first one here; return what they return.
 
-    The threads stay for the next call: starting one takes longer than many a task.
+    The threads stay for the next call: starting one takes longer than many a task. A task
+    that calls this on one of them has its own done there, one by one: threads that wait for
+    each other would wait forever.
     """
-    if len(tasks) < 2 or getattr(_THREAD, "is_alone", False):
+    is_single = getattr(_THREAD, "is_alone", False) or getattr(_THREAD, "is_helper", False)
+    if len(tasks) < 2 or is_single:
         return [task() for task in tasks]
     others = [_pool(max(thread_count(), len(tasks)) - 1).submit(task) for task in tasks[1:]]
     first = tasks[0]()
@@ -175,7 +179,10 @@ def map_ordered(do: Callable[[S], T], items: Iterable[S], most_ahead: int) -> It
 
 @lru_cache(maxsize=1)
 def _pool(n_threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(n_threads, thread_name_prefix="svprep")
+    def begin() -> None:
+        _THREAD.is_helper = True
+
+    return ThreadPoolExecutor(n_threads, thread_name_prefix="svprep", initializer=begin)
 
 
 if hasattr(os, "register_at_fork"):

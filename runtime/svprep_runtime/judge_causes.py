@@ -18,17 +18,35 @@ from typing import Final
 import numpy as np
 
 from svprep.facing import facing
-from svprep.model import F32, F64, Mesh, PlaneTable
+from svprep.model import F32, F64, I64, U8, Mesh, PlaneTable
 from svprep.rays import offset_m
 from svprep_runtime.camera import Camera
 from svprep_runtime.frame import LIFT_PX, LIFT_ULPS, MOST_LIFT_M, MOST_SLANT
 from svprep_runtime.judge_constants import CENTRE_ULPS, LEAST_OFFSET_M, OFFSET_ULPS
+from svprep_runtime.judge_report import Truth
 
 NOT_FOUND: Final = "not found"
 MOST_TRACED: Final = 20
 """Pixels of one picture whose cause is looked for."""
 _SAME_DEPTH: Final = 2.0**-22
 """Depths that differ by no more, as a share, may be one float32 depth."""
+
+
+def causes_of(
+    mesh: Mesh, planes: PlaneTable, camera: Camera, light: F32, truth: Truth, mask: U8, at: I64
+) -> list[str]:
+    """Return why pixels of a picture differ, of the first `MOST_TRACED` of them.
+
+    ``mask (height, width)``: what was drawn, 0 where lit; ``at (n, 2)``: rows and columns, as
+    in `Comparison.differing`.
+    """
+    if not len(at):
+        return []
+    tracer = Tracer(mesh, planes, camera, light)
+    return [
+        tracer.cause(x, y, drawn=bool(mask[y, x]), face_judged=int(truth.face[y, x]))
+        for y, x in at[:MOST_TRACED].tolist()
+    ]
 
 
 class Tracer:

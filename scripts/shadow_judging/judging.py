@@ -14,12 +14,12 @@ from shadow_judging.plan import Shot
 from shadow_judging.store import MOST_PIXELS_LISTED, Result, Store, picture_key
 from shadow_judging.views import LIGHTS, Chooser, View
 from svprep.cache.reader import Cache, open_cache
-from svprep.model import F32, I64, U8
+from svprep.model import F32, U8
 from svprep_runtime.camera import Camera
 from svprep_runtime.context import Context
 from svprep_runtime.frame import Picture, render, to_srgb
 from svprep_runtime.judge import Judge
-from svprep_runtime.judge_causes import MOST_TRACED, Tracer
+from svprep_runtime.judge_causes import causes_of
 from svprep_runtime.judge_report import Truth, compare, difference_picture
 from svprep_runtime.scene import Scene
 from svprep_runtime.targets import Targets
@@ -134,7 +134,7 @@ class _OfModel:
             highest_count=tally.highest_count,
             n_clamped_segments=tally.n_clamped_segments,
             overlaps=[[*one.names, one.pixels] for one in truth.overlaps[:OVERLAPS_LISTED]],
-            causes=self._causes(camera, light, truth, mask, at[:MOST_TRACED]),
+            causes=causes_of(self._cache.mesh, self._cache.planes, camera, light, truth, mask, at),
             truth_s=truth_s,
             draw_s=draw_s,
         )
@@ -168,16 +168,6 @@ class _OfModel:
             scene.forget(self._light)
         self._light = light
         return render(scene, targets, camera, [light], shot.settings)
-
-    def _causes(self, camera: Camera, light: F32, truth: Truth, mask: U8, at: I64) -> list[str]:
-        """Return why each pixel of a picture differs, of rows and columns `at`."""
-        if not len(at):
-            return []
-        tracer = Tracer(self._cache.mesh, self._cache.planes, camera, light)
-        return [
-            tracer.cause(x, y, drawn=bool(mask[y, x]), face_judged=int(truth.face[y, x]))
-            for y, x in at.tolist()
-        ]
 
     def _save(self, folder: Path, shot: Shot, picture: Picture, truth: Truth, mask: U8) -> None:
         from PIL import Image

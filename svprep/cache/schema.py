@@ -459,7 +459,8 @@ DATASETS: Final[tuple[DatasetSpec, ...]] = (
         "",
         "What clamping weighed and gained: cost of a vertex, cost of a square metre; surface "
         "[m^2] of all shadow volumes unclamped, clamped to each caster's own box, and clamped "
-        "(each caster's rounded to 2**(2 e - 40) m^2, 2**e the scene's largest coordinate, up).",
+        "(each caster's rounded to the nearest 2**(2 e - 40) m^2, where 2**e is the power of two "
+        "above the scene's largest coordinate).",
     ),
     DatasetSpec(
         "lights/segment_start",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 import weakref
 from collections.abc import Iterator
 
@@ -191,3 +192,21 @@ def test_a_thread_count_is_taken_as_given(monkeypatch: pytest.MonkeyPatch) -> No
         assert thread_count() == expected
     monkeypatch.setenv("SVPREP_THREADS", "")
     assert thread_count() >= 1
+
+
+@pytest.mark.parametrize("n_threads", ["2", "3"])
+def test_shares_of_shares_wait_for_no_one(n_threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SVPREP_THREADS", n_threads)
+    n = 5000  # as many as are shared out
+    done = np.zeros(n, np.int64)
+
+    def outer(begin: int, end: int) -> None:
+        for _ in range(20):
+            for_shares(n, lambda _a, _b: time.sleep(1e-4))
+        done[begin:end] += 1
+
+    work = threading.Thread(target=for_shares, args=(n, outer), daemon=True)
+    work.start()
+    work.join(30.0)
+    assert not work.is_alive()
+    assert (done == 1).all()
