@@ -4,7 +4,7 @@ Once kernels are compiled, a process only loads them. Numba starts its compiler 
 well, 0.3 s of imports that nothing needs then; `load_without_compiler` leaves them until
 something has to be compiled.
 
-First run after install: Numba compiles in Python, on one core, about twelve seconds for all
+First run after install: Numba compiles in Python, on one core, ten to twelve seconds for all
 kernels of a build. A build needs them one after the other, so while it compiles and uses the
 first ones, a second process compiles the others: first the one that takes longest, of all
 that the build needs late, then the last ones. Both keep what they made in Numba's cache.
