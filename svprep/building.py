@@ -53,7 +53,7 @@ from svprep.parallel import map_ordered, thread_count
 from svprep.planes import default_planar_tolerance_m
 from svprep.process_memory import return_free_memory
 from svprep.ranges import rows_of_runs
-from svprep.repair.grid import FINE_STEP_M, choose_grid, notes_on_step
+from svprep.repair.grid import choose_grid, notes_on_step
 from svprep.scene_tree import (
     EarlierScene,
     LocalClusters,
@@ -431,7 +431,6 @@ class Parts:
     def attributes(self, config: Mapping[str, object]) -> dict[str, bytes | Raw]:
         """Return the cache's attributes."""
         source, grid = self.plan.source, self.plan.grid
-        notes = notes_on_step(self.mesh) if grid.step_m > FINE_STEP_M else ()
         return city_attributes(
             sources=source.sources,
             labels=self.labels,
@@ -439,7 +438,7 @@ class Parts:
             grid=grid,
             planar_tolerance_m=default_planar_tolerance_m(grid),
             config=config,
-            notes=(*source.notes, *notes),
+            notes=(*source.notes, *notes_on_step(grid, lambda: self.mesh.positions)),
         )
 
 

@@ -200,7 +200,7 @@ def prepare(
         clamp=clamp,
         repair=tables.repair,
         config=config.as_json(),
-        notes=(*source.notes, *notes_on_step(mesh)),
+        notes=(*source.notes, *notes_on_step(mesh.grid, lambda: mesh.positions)),
     )
 
 

@@ -8,11 +8,12 @@ the step changes nothing at all.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from svprep.errors import InputError
-from svprep.model import BOOL, F64, I32, Grid, Mesh, SourceMesh
+from svprep.model import BOOL, F32, F64, I32, Grid, SourceMesh
 
 MAX_COORDINATE = 1 << 24
 """A grid coordinate is an integer in [-2**24, 2**24]."""
@@ -59,12 +60,15 @@ def choose_grid(source: SourceMesh) -> Grid:
     return Grid(step_m=step, origin_m=centre * step)
 
 
-def notes_on_step(mesh: Mesh) -> tuple[str, ...]:
-    """Return the note that the extent makes the grid coarser than `FINE_STEP_M`, if it does."""
-    step_m = mesh.grid.step_m
-    if step_m <= FINE_STEP_M or not len(mesh.positions):
+def notes_on_step(grid: Grid, positions: Callable[[], F32]) -> tuple[str, ...]:
+    """Return the note that the extent makes the grid coarser than `FINE_STEP_M`, if it does.
+
+    `positions` gives those of `Mesh`, and is called only if it does.
+    """
+    step_m = grid.step_m
+    if step_m <= FINE_STEP_M or not len(points := positions()):
         return ()
-    extent_m = float(np.ptp(mesh.positions.astype(np.float64), axis=0).max())
+    extent_m = float(np.ptp(points.astype(np.float64), axis=0).max())
     if extent_m <= MAX_COORDINATE * step_m:  # it would fit a finer one, but for float64
         return (f"that far from the origin the grid step is {step_m * 1000:.2g} mm",)
     return (
