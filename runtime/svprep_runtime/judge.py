@@ -13,9 +13,10 @@ the eye's side, to the light meets no face. On which side the light is, `svprep.
 of f's plane record; on which the eye is, f's own plane, whose normal is exact in float64.
 
 **What is seen.** Rays start at the near plane: what lies before it is not seen, and casts
-shadows all the same. Embree finds the face; X is where the float64 ray meets its plane. A
-ray has no point, and so no shadow, where it meets nothing, where its face is edge-on to the
-eye, and where that plane meets it before the near plane.
+shadows all the same. Embree finds the face, which for a pixel's centre is decided in float64
+(`judge_primary`); X is where the float64 ray meets its plane. A ray has no point, and so no
+shadow, where it meets nothing; one beside the centre has none either where its face is
+edge-on to the eye, and where that plane meets it before the near plane.
 
 **Decidable** is a surface pixel whose shadow is the same for all of: its centre; eight points
 around it; a ten times larger displacement of X, and the least that float32 allows; eight
@@ -53,6 +54,7 @@ from svprep_runtime.judge_constants import (
     PIXEL_JITTERS,
 )
 from svprep_runtime.judge_overlaps import Fan, Shapes, overlaps_by_name
+from svprep_runtime.judge_primary import Sight, first_in_place
 from svprep_runtime.judge_report import (
     Comparison,
     Overlap,
@@ -104,7 +106,17 @@ class Judge:
     Building takes about 5 us a face, most of it Embree's two hierarchies.
     """
 
-    __slots__ = ("_fan", "_mesh", "_names", "_planes", "_scene", "_shapes", "nearest", "offset_m")
+    __slots__ = (
+        "_fan",
+        "_first_in_place",
+        "_mesh",
+        "_names",
+        "_planes",
+        "_scene",
+        "_shapes",
+        "nearest",
+        "offset_m",
+    )
 
     offset_m: float
     """[m]: how far a visible point is displaced."""
@@ -117,6 +129,7 @@ class Judge:
         self.nearest = offset_m(mesh, 0.0, CENTRE_ULPS) / self.offset_m
         self._mesh, self._planes, self._names = mesh, planes, tuple(object_names)
         self._scene = Scene(mesh.positions, mesh.faces)
+        self._first_in_place = first_in_place(mesh.positions, mesh.faces)
         self._shapes = Shapes.of(mesh)
         self._fan = Fan(mesh, self._shapes, self.offset_m, self._scene.device)
 
@@ -142,16 +155,22 @@ class Judge:
         """
         width, height = camera.width_px, camera.height_px
         n = width * height
-        view = _View.of(camera, checked_light(light), self._shapes, self._planes, self.offset_m)
+        view = self._view(camera, checked_light(light))
+        first, is_cut = np.full(n, -1, np.int32), np.zeros(n, bool)
         face = np.full(n, -1, np.int32)
         in_shadow, is_decidable = np.zeros(n, bool), np.zeros(n, bool)
         met: dict[int, I64] = {}  # by where a batch begins
 
+        def rays_of(begin: int, end: int) -> F64:
+            row, column = np.divmod(np.arange(begin, end), width)
+            return camera.directions(column.astype(np.float64) + 0.5, row + np.float64(0.5))
+
+        def find(begin: int, end: int) -> None:
+            first[begin:end], is_cut[begin:end] = view.sight.first(rays_of(begin, end))
+
         def judge(begin: int, end: int) -> None:
-            pixel = np.arange(begin, end)
-            row, column = np.divmod(pixel, width)
-            rays = camera.directions(column.astype(np.float64) + 0.5, row + np.float64(0.5))
-            seen = _look(self._scene, view, rays)
+            rays = rays_of(begin, end)
+            seen = _seen(view, rays, view.sight.shown(first, is_cut, width, begin, rays))
             face[begin:end] = seen.face
             state = _states(self._scene, view, seen)
             in_shadow[begin:end] = (seen.face >= 0) & (state != _LIT)
@@ -159,6 +178,7 @@ class Judge:
             is_decidable[begin + self._agreeing(view, seen, rays, state, asked)] = True
             met[begin] = self._fan.met(rays[asked], seen.face[asked], seen.point[asked])
 
+        for_batches(n, RAYS_AT_ONCE, find, lambda _: None)
         for_batches(
             n, RAYS_AT_ONCE, judge, lambda done: on_step("judging", done, n) if on_step else None
         )
@@ -171,14 +191,46 @@ class Judge:
             overlaps=overlaps_by_name(met, self._names),
         )
 
+    def _view(self, camera: Camera, light: F32) -> _View:
+        """Return the view of a camera and a light."""
+        shapes, planes = self._shapes, self._planes
+        eye = camera.eye.astype(np.float64)
+        height = np.einsum("ij,ij->i", shapes.normal, eye - shapes.corner)
+        side = np.sign(height).astype(np.int8)
+        lights = light[None] if light[3] != 0.0 else _turned_suns(light)
+        is_facing = [facing(planes.planes, one)[planes.plane_of_face] == side for one in lights]
+        first, right, down = camera.directions(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+        sight = Sight(
+            scene=self._scene,
+            first_in_place=self._first_in_place,
+            positions=self._mesh.positions,
+            corners=self._mesh.faces,
+            planes=np.column_stack([shapes.normal, height, side * self.offset_m / shapes.length]),
+            eye=eye,
+            near_m=camera.near_m,
+            right_px=right - first,
+            down_px=down - first,
+            step_m=self.offset_m,
+        )
+        return _View(
+            sight=sight,
+            lights=lights,
+            is_facing_eye_side=np.array(is_facing).reshape(len(lights), -1),
+            plane_of_face=planes.plane_of_face,
+            planes=planes.planes,
+            eye_side=side,
+            offset_m=self.offset_m,
+        )
+
     def _agreeing(self, view: _View, seen: _Seen, rays: F64, state: U8, asked: I64) -> I64:
         """Return the rows of `asked` for which nothing disagrees with `state`.
 
         Points around the pixel first: most undecidable pixels lie at edges in the picture.
         """
         for x, y in PIXEL_JITTERS:
-            around = rays[asked] + PIXEL_JITTER_PX * (x * view.right_px + y * view.down_px)
-            states = _states(self._scene, view, _look(self._scene, view, around))
+            sight = view.sight
+            around = rays[asked] + PIXEL_JITTER_PX * (x * sight.right_px + y * sight.down_px)
+            states = _states(self._scene, view, _seen(view, around, sight.first(around)[0]))
             asked = asked[states == state[asked]]
         far = seen.at(asked)
         asked = asked[_states(self._scene, view, far, FAR_OFFSET) == state[asked]]
@@ -194,15 +246,7 @@ class Judge:
 class _View:
     """What every ray of a picture needs."""
 
-    eye: F64
-    """``(3,)`` [m]"""
-    near_m: float
-    right_px: F64
-    """``(3,)``: what a step of a pixel to the right adds to a ray of view depth 1."""
-    down_px: F64
-    faces: F64
-    """``(n_faces, 5)``: normal [m^2], its product with eye - a [m^3], and what the normal is
-    multiplied by to displace a point of the face by the offset to the eye's side [1/m]."""
+    sight: Sight
     lights: F32
     """``(1 + N_LIGHT_JITTERS, 4)``: the light, and a sun's turned ones."""
     is_facing_eye_side: BOOL
@@ -213,31 +257,6 @@ class _View:
     eye_side: I8
     """``(n_faces,)``: -1, 0, +1."""
     offset_m: float
-
-    @classmethod
-    def of(
-        cls, camera: Camera, light: F32, shapes: Shapes, planes: PlaneTable, offset: float
-    ) -> _View:
-        """Return the view of a camera and a light."""
-        eye = camera.eye.astype(np.float64)
-        height = np.einsum("ij,ij->i", shapes.normal, eye - shapes.corner)
-        side = np.sign(height).astype(np.int8)
-        lights = light[None] if light[3] != 0.0 else _turned_suns(light)
-        is_facing = [facing(planes.planes, one)[planes.plane_of_face] == side for one in lights]
-        first, right, down = camera.directions(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
-        return cls(
-            eye=eye,
-            near_m=camera.near_m,
-            right_px=right - first,
-            down_px=down - first,
-            faces=np.column_stack([shapes.normal, height, side * offset / shapes.length]),
-            lights=lights,
-            is_facing_eye_side=np.array(is_facing).reshape(len(lights), -1),
-            plane_of_face=planes.plane_of_face,
-            planes=planes.planes,
-            eye_side=side,
-            offset_m=offset,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,39 +277,14 @@ class _Seen:
         return _Seen(self.face[rows], self.has_point[rows], self.point[rows], self.lift[rows])
 
 
-def _look(scene: Scene, view: _View, rays: F64) -> _Seen:
-    """Return what rays ``(n, 3)`` of view depth 1 meet from the near plane on.
-
-    They start at the eye, which float32 holds exactly, and again at the near plane if they
-    meet a face before it: rounding that start to float32 would move all the picture.
-    """
-    directions = rays.astype(np.float32)
-    origins = np.empty_like(directions)
-    origins[:] = view.eye
-    face, _ = scene.first_hit(origins, directions)
-    depth, record = _depth(view, rays, face)
-    early = np.flatnonzero((face >= 0) & ~(depth >= view.near_m))
-    if len(early):
-        starts = (view.eye + view.near_m * rays[early]).astype(np.float32)
-        face[early], _ = scene.first_hit(starts, directions[early])
-        depth[early], record[early] = _depth(view, rays[early], face[early])
-    has_point = (face >= 0) & (depth >= view.near_m) & np.isfinite(depth)
-    depth[~has_point] = view.near_m
+def _seen(view: _View, rays: F64, face: I32) -> _Seen:
+    """Return what is seen of `face` ``(n,)`` along rays ``(n, 3)`` of view depth 1."""
+    depth, record = view.sight.depth(rays, face)
+    has_point = (face >= 0) & (depth >= view.sight.near_m) & np.isfinite(depth)
+    depth[~has_point] = view.sight.near_m
     point = rays * depth[:, None]
-    point += view.eye
+    point += view.sight.eye
     return _Seen(face, has_point, point, record[:, :3] * record[:, 4:])
-
-
-def _depth(view: _View, rays: F64, face: I32) -> tuple[F64, F64]:
-    """Return at which view depth rays meet the planes of `face`, and the rows of those.
-
-    What stands for face -1 means nothing.
-    """
-    if not len(view.faces):
-        return np.full(len(rays), np.nan), np.zeros((len(rays), 5))
-    record = view.faces.take(face, axis=0, mode="wrap")
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return record[:, 3] / -np.einsum("ij,ij->i", record[:, :3], rays), record
 
 
 def _states(
@@ -301,7 +295,7 @@ def _states(
     Light 0 is the light itself, those from 1 on are turned.
     """
     state = np.where(seen.has_point, _SHADOW, _NONE)
-    if not len(view.faces):
+    if not len(view.eye_side):
         return state
     lamp = view.lights[0, 3] != 0.0
     at: F64 | None = None

@@ -279,6 +279,50 @@ def test_of_the_sky_nothing_is_said() -> None:
         assert (difference_picture(truth, np.zeros((64, 96), np.uint8)) == SKY_COLOUR).all()
 
 
+# What a pixel's centre shows -----------------------------------------------------------------
+
+
+def face_met(prepared: Prepared, camera: Camera) -> np.ndarray:
+    """Return ``(h, w)``: the face that each pixel's float64 ray meets first, -1 for none."""
+    eye, rays = pixel_rays(camera)
+    corners = prepared.mesh.positions[prepared.mesh.faces].astype(float) - eye
+    a, b, c = np.moveaxis(corners, 1, 0)
+    sides = np.stack([rays @ np.cross(p, q).T for p, q in ((b, c), (c, a), (a, b))])
+    normal = np.cross(b - a, c - a)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (normal * a).sum(axis=1) / (rays @ normal.T)
+    is_met = (sides >= 0.0).all(axis=0) | (sides <= 0.0).all(axis=0)
+    depth = np.where(is_met & (depth >= camera.near_m), depth, np.inf)
+    return np.where(np.isfinite(depth).any(axis=-1), depth.argmin(axis=-1), -1)
+
+
+def test_edges_closer_to_centres_than_float32_can_tell() -> None:
+    # The eye is moved float32 by float32 past where the roof's edge is at a column's centres.
+    prepared = city(level(-40, -40, 40, 40), level(-8, -8, 8, 8, 4.0))
+    judge = judge_of(prepared)
+    above = camera_in(prepared, (0.37, 0.71, 39.3), (0.37, 0.71, 0.0), (40, 24))
+    column = above.directions(np.array([24.5]), np.array([12.5]))[0]
+    top = prepared.mesh.positions[prepared.mesh.faces[2]]
+    height = float(above.eye[2]) - float(top[0, 2])
+    x = np.float32(float(top[:, 0].max()) - height * column[0])
+    for step in range(-4, 5):
+        eye = above.eye.copy()
+        eye[0] = x + step * np.spacing(x)
+        camera = replace(above, eye=eye)
+        truth = judge.truth(camera, SUN)
+        np.testing.assert_array_equal(truth.face, face_met(prepared, camera), str(step))
+
+
+def test_of_walls_with_the_same_corners_the_first_is_shown() -> None:
+    corners = [(0, 0, 0), (6, 0, 0), (6, 0, 4), (0, 0, 4)]
+    turned = [corners[i] for i in (2, 1, 0, 3)]
+    for one, other in ((corners, turned), (turned, corners)):
+        prepared = city(sheet(one), sheet(other), sheet(one))
+        camera = camera_in(prepared, (2.0, -5.0, 3.0), (3.0, 0.0, 2.0))
+        truth = judge_of(prepared).truth(camera, SUN)
+        assert np.unique(truth.face).tolist() == [-1, 0, 1]
+
+
 # Overlaps ----------------------------------------------------------------------------------------
 
 
