@@ -11,7 +11,7 @@ asks for the count. Everything that decides facing was uploaded; no shader decid
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
@@ -25,7 +25,7 @@ from svprep_runtime.measure import Meter, PassFigures
 from svprep_runtime.near_plane import is_projected, sort_components
 from svprep_runtime.passes.counting import Counter, When, count, count_near_plane
 from svprep_runtime.passes.lighting import add_ambient, add_light
-from svprep_runtime.passes.visible import displace, see
+from svprep_runtime.passes.visible import displace, see, see_again, settle
 from svprep_runtime.scene import Construction, LitScene, Scene
 from svprep_runtime.state import PassState, apply
 from svprep_runtime.targets import Targets
@@ -44,6 +44,9 @@ MOST_LIFT_M: Final = 0.01
 """and at most this: what stands 2 cm above a surface shades it, however far away it is seen."""
 MOST_SLANT: Final = 4.0
 """X moves along its ray, at most so many times farther than along the normal."""
+MOST_SHIFT_PX: Final = 3.0 / 64.0
+"""X' lies no farther beside its pixel's centre: what ``coverage.glsl`` draws faces wider by, less
+what a rasteriser may move corners."""
 
 
 _ONE_APART: Final = np.array([0.0, 1.0])
@@ -166,22 +169,14 @@ def draw(
     lit: list[LitScene] = []
     cut_at_near = is_cut_at_near(scene.cache, camera)
     lift = lift_uniforms(scene, camera)
+    if settings.method == "zp+":  # its faces on the near plane are counted at pixels' centres
+        lift["most_shift_px"] = 0.0
     negative, highest = [0] * len(lights), [0] * len(lights)
     scene.bind()
     targets.clear_sums()
     for offset in sample_offsets(settings.samples):
         uniforms = {**camera_uniforms(camera, offset), **lift}
-        with meter.measure("see"):
-            see(
-                scene.programs,
-                targets,
-                uniforms,
-                scene.n_faces,
-                cut_at_near=cut_at_near,
-                by_geometry_shader=settings.construction != "vertex",
-            )
-        with meter.measure("displace"):
-            displace(scene.programs, targets, uniforms)
+        _find_visible(scene, targets, uniforms, settings, meter, cut_at_near)
         with meter.measure("ambient"):
             add_ambient(scene.programs, targets, uniforms)
         # Only now: silhouettes are looked for while the driver draws what is seen.
@@ -202,6 +197,36 @@ def draw(
     )
 
 
+def _find_visible(
+    scene: Scene,
+    targets: Targets,
+    uniforms: dict[str, Any],
+    settings: Settings,
+    meter: Meter,
+    cut_at_near: bool,
+) -> None:
+    """Find the visible face of each pixel, and where volumes are counted for it."""
+
+    def draw_faces(draw: Callable[..., None]) -> None:
+        draw(
+            scene.programs,
+            targets,
+            uniforms,
+            scene.n_faces,
+            cut_at_near=cut_at_near,
+            by_geometry_shader=settings.construction != "vertex",
+        )
+
+    with meter.measure("see"):
+        draw_faces(see)
+    with meter.measure("displace"):
+        displace(scene.programs, targets, uniforms)
+    with meter.measure("see again"):
+        draw_faces(see_again)
+    with meter.measure("settle"):
+        settle(scene.programs, targets, uniforms)
+
+
 def _count(
     scene: Scene,
     targets: Targets,
@@ -215,6 +240,7 @@ def _count(
 ) -> None:
     """Fill the count: how many volumes of a light hold the visible point of each pixel."""
     targets.bind(targets.count_into)
+    scene.context.gl.glBindTextureUnit(2, targets.displaced)
 
     def draw(
         when: When, chosen: BOOL | None, *, own_caps: bool, whole: bool = False, name: str
@@ -316,6 +342,7 @@ def lift_uniforms(scene: Scene, camera: Camera) -> dict[str, float]:
         "lift_px": LIFT_PX,
         "least_lift_m": least_m,
         "most_slant": MOST_SLANT,
+        "most_shift_px": MOST_SHIFT_PX,
         "most_lift_m": most_m,
         "reach_m": MOST_SLANT * reached_m,
     }

@@ -73,8 +73,10 @@ GL_DEPTH_STENCIL: Final = 0x84F9
 GL_INCR_WRAP: Final = 0x8507
 GL_DECR_WRAP: Final = 0x8508
 GL_RGBA32F: Final = 0x8814
+GL_READ_WRITE: Final = 0x88BA
 GL_R32F: Final = 0x822E
 GL_R32UI: Final = 0x8236
+GL_RGBA32UI: Final = 0x8D70
 GL_RED_INTEGER: Final = 0x8D94
 GL_DEPTH_CLAMP: Final = 0x864F
 GL_DEPTH32F_STENCIL8: Final = 0x8CAD
@@ -107,6 +109,7 @@ _P, _UP, _IP, _FP = (
 
 _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "glBindFramebuffer": (None, (_U, _U)),
+    "glBindImageTexture": (None, (_U, _U, _I, ctypes.c_ubyte, _I, _U, _U)),
     "glBindTextureUnit": (None, (_U, _U)),
     "glBeginQuery": (None, (_U, _U)),
     "glBlendEquation": (None, (_U,)),

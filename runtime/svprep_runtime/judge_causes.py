@@ -1,11 +1,11 @@
 r"""Why a picture and the judge differ at a pixel: what float64 says, over all faces, one by one.
 
         eye
-          \   . X' along the normal: where the judge asks
-           \  |
-    X' as   o |     Both are lit, or both are not, unless a shadow's edge passes
-    drawn    \|     between them, closer to X than a millimetre.
-    _________ X _________ face
+          \   . X' along the normal: where the judge asks, and pictures, too, of all
+           \  |  that is not seen from close by
+    X' as   o |
+    drawn    \|  Both are lit, or both are not, unless a shadow's edge passes between
+    _________ X  them, or between the heights, closer to X than a millimetre.
 
 Nothing of the judge or of the renderer is used: no hierarchy, no float32 ray, no depth
 buffer. A cause is told only where float64 gives what was drawn; all else is `NOT_FOUND`.
@@ -21,15 +21,13 @@ from svprep.facing import facing
 from svprep.model import F32, F64, I64, U8, Mesh, PlaneTable
 from svprep.rays import offset_m
 from svprep_runtime.camera import Camera
-from svprep_runtime.frame import LIFT_PX, LIFT_ULPS, MOST_LIFT_M, MOST_SLANT
+from svprep_runtime.frame import LIFT_PX, LIFT_ULPS, MOST_LIFT_M, MOST_SHIFT_PX, MOST_SLANT
 from svprep_runtime.judge_constants import CENTRE_ULPS, LEAST_OFFSET_M, OFFSET_ULPS
 from svprep_runtime.judge_report import Truth
 
 NOT_FOUND: Final = "not found"
 MOST_TRACED: Final = 20
 """Pixels of one picture whose cause is looked for."""
-_SAME_DEPTH: Final = 2.0**-22
-"""Depths that differ by no more, as a share, may be one float32 depth."""
 
 
 def causes_of(
@@ -95,56 +93,53 @@ class Tracer:
         nearest = int(met.argmin())
         if face_judged < 0 or not np.isfinite(met[nearest]):
             return NOT_FOUND
-        if self._as_drawn(nearest, ray, met[nearest]) != drawn:
-            return self._tie(nearest, ray, met, drawn)
+        as_drawn = self._displaced(nearest, ray, met[nearest])
+        if self._is_shaded(nearest, as_drawn) != drawn:
+            return NOT_FOUND
         if nearest != face_judged:
             return (
                 f"the ray meets face {nearest} in float64, as drawn; the judge's float32 ray "
                 f"meets {face_judged}, {self._beside_px(nearest, ray):.1g} px beside"
             )
-        return self._displacement(nearest, ray, met[nearest], drawn)
-
-    def _tie(self, nearest: int, ray: F64, met: F64, drawn: bool) -> str:
-        """Return which face as near as the nearest one, for float32, gives what was drawn."""
-        apart = (met - met[nearest]) / met[nearest]
-        for face in np.flatnonzero(apart <= _SAME_DEPTH).tolist():
-            if face < nearest and self._as_drawn(face, ray, met[face]) == drawn:
-                return (
-                    f"faces {nearest} and {face} are {1e6 * (met[face] - met[nearest]):.2g} um "
-                    f"apart here, {apart[face]:.1g} of their depth: to a depth buffer of float32 "
-                    "the same, and the first of the file is drawn"
-                )
-        return NOT_FOUND
-
-    def _displacement(self, face: int, ray: F64, depth: float, drawn: bool) -> str:
-        """Return where along the normal, and along the ray, X is lit or in shadow."""
-        point = self._eye + depth * ray
-        normal = self._towards_eye(face)
+        point = self._eye + met[nearest] * ray
+        normal = self._towards_eye(nearest)
         said = [
-            f"{name} {_word(self._is_shaded(face, point + lift * normal))}"
+            f"{name} {_word(self._is_shaded(nearest, point + lift * normal))}"
             for name, lift in (
                 ("X itself", 0.0),
                 (f"{1e3 * self._nearest_m:.2g} mm along the normal", self._nearest_m),
                 (f"{1e3 * self._offset_m:.2g} mm", self._offset_m),
             )
         ]
-        step = float(np.linalg.norm(self._step(face, ray, depth)))
-        return f"{', '.join(said)}; {1e3 * step:.2g} mm along the ray {_word(drawn)}, as drawn"
+        height = float(normal @ (as_drawn - point))
+        beside = float(np.linalg.norm(as_drawn - point - height * normal))
+        return (
+            f"{', '.join(said)}; {1e3 * height:.2g} mm along it and {1e3 * beside:.2g} mm beside "
+            f"{_word(drawn)}, as drawn"
+        )
 
-    def _as_drawn(self, face: int, ray: F64, depth: float) -> bool:
-        """Return whether X of a face, displaced along its ray, is in shadow."""
-        point = self._eye + depth * ray
-        return self._is_shaded(face, point - self._step(face, ray, depth))
-
-    def _step(self, face: int, ray: F64, depth: float) -> F64:
+    def _displaced(self, face: int, ray: F64, depth: float) -> F64:
         """Return how a picture displaces X of a face, as ``displace.frag`` does."""
+        normal = self._towards_eye(face)
         most_m = max(MOST_LIFT_M, self._least_lift_m)
-        metres = min(max(LIFT_PX * self._a_pixel * depth, self._least_lift_m), most_m)
-        slope = abs(float(self._towards_eye(face) @ ray))
+        lift = min(max(LIFT_PX * self._a_pixel * depth, self._least_lift_m), most_m)
+        along = depth * ray + lift * normal
+        lifted = float(self._camera.forward @ along)
+        shift_px = float(np.linalg.norm(along / lifted - ray)) / self._a_pixel
+        hidden = self._met(self._eye, along)
+        hidden[face] = np.inf
+        most_px = MOST_SHIFT_PX
+        if lifted < self._camera.near_m or (hidden < 1.0).any():
+            most_px = 0.0
+        if shift_px <= most_px:
+            return self._eye + along
+        slope = -float(normal @ ray)
         slant = MOST_SLANT / float(np.linalg.norm(ray))
-        if slope > 0.0:
-            slant = min(1.0 / slope, slant)
-        return metres * slant * ray
+        if slope * slant > 1.0:
+            slant = 1.0 / slope
+        on_ray = depth - lift * slant
+        share = most_px * on_ray / (shift_px * lifted - most_px * (lifted - on_ray))
+        return self._eye + on_ray * ray + share * (along - on_ray * ray)
 
     def _is_shaded(self, face: int, point: F64) -> bool:
         """Return whether `point`, which lies before `face`, is in shadow by definition."""

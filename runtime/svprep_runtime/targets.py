@@ -3,7 +3,9 @@
 depth    32-bit float + 8 stencil    reversed depth of one relative precision everywhere
 seen     R32UI     1 + face, highest bit: its front     one visible face a pixel, resolved
                                                         once for all lights
-count    R32F      signed, exact to 2**24; one add counts |m| and never wraps
+count    R32F      signed, exact to 2**24; one add counts |m| and never wraps; before that,
+                   the depth of what is seen, to be read
+displaced RGBA32UI  where each pixel's point is counted: see displace.frag
 radiance RGBA32F   sums over lights and samples
 votes    R32F      samples in shadow, one a light
 """
@@ -21,7 +23,7 @@ from svprep.model import F32, U8, U32
 from svprep_runtime import gl_raw as g
 from svprep_runtime.context import Context
 
-BYTES_A_PIXEL: Final = 8 + 4 + 4 + 16 + 4
+BYTES_A_PIXEL: Final = 8 + 4 + 4 + 16 + 16 + 4
 
 
 @dataclass(slots=True)
@@ -35,9 +37,12 @@ class Targets:
     depth: int = 0
     seen: int = 0
     count: int = 0
+    displaced: int = 0
     radiance: int = 0
     votes: list[int] = field(default_factory=list)
     see_into: int = 0
+    """Framebuffer: seen and count, with depth."""
+    see_again_into: int = 0
     """Framebuffer: seen, with depth."""
     count_into: int = 0
     """Framebuffer: count, with depth and stencil."""
@@ -71,11 +76,13 @@ class Targets:
         gl.glTextureParameteri(self.depth, g.GL_DEPTH_STENCIL_TEXTURE_MODE, g.GL_STENCIL_INDEX)
         self.seen = self._texture(g.GL_R32UI)
         self.count = self._texture(g.GL_R32F)
+        self.displaced = self._texture(g.GL_RGBA32UI)
         self.radiance = self._texture(g.GL_RGBA32F)
         self.votes = [self._texture(g.GL_R32F) for _ in range(self.n_lights)]
         if gl.glGetError():
             raise self._no_memory()
-        self.see_into = self._framebuffer([self.seen], with_depth=True)
+        self.see_into = self._framebuffer([self.seen, self.count], with_depth=True)
+        self.see_again_into = self._framebuffer([self.seen], with_depth=True)
         self.count_into = self._framebuffer([self.count], with_depth=True)
         self.displace_into = self._framebuffer([], with_depth=True)
         self.light_into = [
@@ -126,6 +133,12 @@ class Targets:
         gl = self.context.gl
         gl.glBindFramebuffer(g.GL_FRAMEBUFFER, framebuffer)
         gl.glViewport(0, 0, self.width_px, self.height_px)
+
+    def bind_displaced(self) -> None:
+        """Let shaders read and write `displaced` as an image, after what wrote it before."""
+        gl = self.context.gl
+        gl.glMemoryBarrier(g.GL_ALL_BARRIER_BITS)
+        gl.glBindImageTexture(0, self.displaced, 0, False, 0, g.GL_READ_WRITE, g.GL_RGBA32UI)
 
     def clear_sums(self) -> None:
         """Begin the sums over lights and samples at nothing."""

@@ -275,7 +275,7 @@ def test_json_tells_what_each_pass_took(context: Context, told: Callable[..., di
     }
     assert light["clamped_segments"] > 0
     passes = {each["name"]: each for each in got["passes"]}
-    assert list(passes) == ["see", "displace", "ambient", "z-pass", "light"]
+    assert list(passes) == ["see", "displace", "see again", "settle", "ambient", "z-pass", "light"]
     for each in got["passes"]:
         assert set(each) == {"name", "light", "ms", "wall_ms", "primitives", "samples"}
         assert each["ms"] >= 0.0
@@ -292,7 +292,7 @@ def test_json_tells_what_each_pass_took(context: Context, told: Callable[..., di
 def test_stats_say_the_same_to_people(context: Context, said: Run) -> None:
     lines = said("render", "town.svp.h5", *LIGHT, *FROM_ABOVE, "--stats")
     passes = [line for line in lines if line.startswith("pass ")]
-    names = ["see", "displace", "ambient", "z-pass", "light"]
+    names = ["see", "displace", "see again", "settle", "ambient", "z-pass", "light"]
     assert [line.split(":")[0] for line in passes] == [f"pass     {name}" for name in names]
     assert all(" ms, " in line and line.endswith(" samples") for line in passes)
 

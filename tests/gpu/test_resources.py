@@ -143,7 +143,7 @@ def test_measured_frames_leave_no_queries(
     targets = make_targets(64, 64, 1)
     with Scene(nothing_leaks, prepared) as scene:
         first = render(scene, targets, camera, [light], with_figures=True)
-        assert {"see", "displace", "ambient", "z-pass", "light"} <= {
+        assert {"see", "displace", "see again", "settle", "ambient", "z-pass", "light"} <= {
             one.name for one in first.figures
         }
         before = live(nothing_leaks)
@@ -430,7 +430,13 @@ def test_a_picture_without_lights_is_refused_and_a_night_is_drawn(
         one_line(error)
         meter = Meter(nothing_leaks, is_on=True)
         assert draw(scene, targets, camera, [], Settings(), meter) == ()
-    assert [one.name for one in meter.figures()] == ["see", "displace", "ambient"]
+    assert [one.name for one in meter.figures()] == [
+        "see",
+        "displace",
+        "see again",
+        "settle",
+        "ambient",
+    ]
     radiance, is_city = targets.read_radiance(), targets.read_seen() != 0
     assert is_city.any()
     assert (radiance[is_city].max(axis=-1) < 0.29).all()  # the sky's light alone

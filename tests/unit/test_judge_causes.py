@@ -21,6 +21,7 @@ from svprep.pipeline import build
 pytest.importorskip("moderngl", reason="pictures need the extra view: OpenGL")
 pytest.importorskip("embreex", reason="judging needs the extra judge: rays")
 
+from svprep_runtime import judge_causes
 from svprep_runtime.camera import parse_camera
 from svprep_runtime.judge_causes import NOT_FOUND, Tracer
 
@@ -52,7 +53,7 @@ def tracer(cache, light, target="-1,1,0") -> Tracer:
 def test_what_was_drawn_and_float64_says_too_is_told(cache):
     said = tracer(cache, STEEP).cause(*MIDDLE, drawn=False, face_judged=FIRST)
     assert said.startswith("X itself lit, ")
-    assert said.endswith(" along the ray lit, as drawn")
+    assert said.endswith(" mm beside lit, as drawn")
 
 
 def test_a_displacement_that_leaves_a_thin_shadow_is_told_in_millimetres(cache):
@@ -60,7 +61,7 @@ def test_a_displacement_that_leaves_a_thin_shadow_is_told_in_millimetres(cache):
     said = tracer(cache, LOW, "-1,-0.9,0").cause(*MIDDLE, drawn=True, face_judged=FIRST)
     assert said.startswith("X itself shadow, ")
     assert ", 2 mm lit; " in said
-    assert said.endswith(" along the ray shadow, as drawn")
+    assert said.endswith(" mm beside shadow, as drawn")
 
 
 def test_another_face_than_the_judge_saw_is_named(cache):
@@ -69,18 +70,30 @@ def test_another_face_than_the_judge_saw_is_named(cache):
     assert f"float32 ray meets {SHEET}, " in said
 
 
-def test_faces_of_one_float32_depth_are_told_apart(cache):
+def test_where_a_picture_displaces_a_point_to(cache, monkeypatch):
+    """Along the normal; less far beside the ray if that is too far; on it if that is hidden."""
     one = tracer(cache, STEEP)
     ray = one._camera.directions(np.array([MIDDLE[0] + 0.5]), np.array([MIDDLE[1] + 0.5]))[0]
-    met = one._met(one._eye, ray)
-    assert np.isfinite(met).tolist() == [False, True, False, True, False]
-    met[SECOND] = met[FIRST] * (1.0 - 1e-7)
-    said = one._tie(SECOND, ray, met, drawn=False)
-    assert said.startswith(f"faces {SECOND} and {FIRST} are ")
-    assert " um apart here, 1e-07 of their depth: " in said
-    assert one._tie(SECOND, ray, met, drawn=True) == NOT_FOUND
-    met[SECOND] = met[FIRST] * (1.0 - 1e-6)
-    assert one._tie(SECOND, ray, met, drawn=False) == NOT_FOUND
+    depth = one._met(one._eye, ray)[FIRST]
+    point, lift = one._eye + depth * ray, 1e-3
+    one._least_lift_m = lift
+    along = point + [0.0, 0.0, lift]
+    np.testing.assert_allclose(one._displaced(FIRST, ray, depth), along, atol=1e-12)
+
+    on_ray = point - lift / abs(ray[2]) * ray
+    monkeypatch.setattr(judge_causes, "MOST_SHIFT_PX", 0.01)
+    found = one._displaced(FIRST, ray, depth)
+    away = found - one._eye
+    shift = away / (away @ one._camera.forward) - ray
+    assert np.linalg.norm(shift) / one._a_pixel == pytest.approx(0.01, rel=1e-5)
+    share = np.linalg.norm(found - on_ray) / np.linalg.norm(along - on_ray)
+    assert 0.05 < share < 0.95
+    np.testing.assert_allclose(on_ray + share * (along - on_ray), found, atol=1e-12)
+
+    hidden = np.full(5, np.inf)
+    hidden[SHEET] = 0.5
+    monkeypatch.setattr(Tracer, "_met", lambda *of: hidden)
+    np.testing.assert_allclose(one._displaced(FIRST, ray, depth), on_ray, atol=1e-12)
 
 
 def test_what_float64_does_not_give_has_no_cause(cache):

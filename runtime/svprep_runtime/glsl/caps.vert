@@ -18,6 +18,8 @@ void main() {
     for (uint k = 0u; k < 3u; k++) {
         p[k] = end_of_segment(position_of(corners[3u * entry.x + k]), entry.y, is_far);
     }
+    gl_Position = NOWHERE;
+    if (is_outside(p[0], p[1], p[2])) return;
     set_depth_plane(p[0], p[1], p[2]);
     gl_Position = set_coverage(p[0], p[1], p[2], gl_VertexID % 3);
 }

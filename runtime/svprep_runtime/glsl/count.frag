@@ -3,13 +3,17 @@
 #include "depth_plane.glsl"
 #include "coverage.glsl"
 
+layout(binding = 2) uniform usampler2D displaced;  // see displace.frag
+
 uniform float weight;
 
 layout(location = 0) out float count;
 
 void main() {
-    if (!is_covered()) discard;
-    gl_FragDepth = plane_depth();
+    uvec2 shift = texelFetch(displaced, ivec2(gl_FragCoord.xy), 0).xy;
+    dvec2 at = dvec2(gl_FragCoord.xy) + dvec2(uintBitsToFloat(shift));
+    if (!is_covered(at)) discard;
+    gl_FragDepth = plane_depth(at);
 #ifdef CUT_AT_NEAR
     if (gl_FragDepth > 1.0) discard;
 #endif

@@ -16,9 +16,23 @@ flat out int is_front;
 
 uniform vec2 size_px;
 
-const double WIDER_PX = 1.0 / 64.0;
+const double WIDER_PX = 1.0 / 16.0;
 
 const vec4 NOWHERE = vec4(2, 2, 0, 1);
+
+// All three lie beyond one side of the picture, or behind the eye. It may say no too often.
+bool is_outside(vec4 a, vec4 b, vec4 c) {
+    vec3 v[3] = vec3[3](vec3(from_eye(a)), vec3(from_eye(b)), vec3(from_eye(c)));
+    bvec3 is_left = bvec3(true), is_right = bvec3(true);  // across, up, and behind
+    for (int i = 0; i < 3; i++) {
+        float depth = dot(v[i], row_forward);
+        vec3 at = vec3(dot(v[i], row_right), dot(v[i], row_up), 0.0);
+        float most = depth + 0.01 * abs(depth) + 1e-5 * length(v[i]);
+        is_left = bvec3(is_left.x && at.x < -most, is_left.y && at.y < -most, is_left.z && depth < 0.0);
+        is_right = bvec3(is_right.x && at.x > most, is_right.y && at.y > most, false);
+    }
+    return any(is_left) || any(is_right);
+}
 
 // How far inside of the edge from a to b (eye-relative, w = 0 at infinity) a pixel lies.
 dvec3 line_of_edge(dvec3 a, dvec3 b, double turn) {
@@ -71,12 +85,17 @@ vec4 set_coverage(vec4 a, vec4 b, vec4 c, int k) {
 flat in dvec3 edge_line[3];
 flat in int is_front;
 
-bool is_covered() {
-    dvec2 p = dvec2(gl_FragCoord.xy);
+// How far inside of edge k a place in the picture lies [pixels].
+double inside_of_edge(int k, dvec2 at) {
+    dvec3 line = edge_line[k];
+    precise double inside = line.x + line.y * at.x + line.z * at.y;
+    return inside;
+}
+
+bool is_covered(dvec2 at) {
     for (int k = 0; k < 3; k++) {
-        dvec3 line = edge_line[k];
-        precise double inside = line.x + line.y * p.x + line.z * p.y;
-        if (inside == 0.0) inside = line.y == 0.0 ? line.z : line.y;
+        double inside = inside_of_edge(k, at);
+        if (inside == 0.0) inside = edge_line[k].y == 0.0 ? edge_line[k].z : edge_line[k].y;
         if (inside <= 0.0) return false;
     }
     return true;

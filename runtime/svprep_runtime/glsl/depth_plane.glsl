@@ -58,12 +58,15 @@ void set_depth_plane(vec4 a, vec4 b, vec4 c) {
 flat in dvec3 depth_plane;
 flat in vec2 depth_range;
 
-float plane_depth() {
-    float z = float(depth_plane.x + depth_plane.y * double(gl_FragCoord.x)
-                    + depth_plane.z * double(gl_FragCoord.y));
+// At a place in the picture [pixels].
+double plane_depth_unrounded(dvec2 at) {
+    precise double z = depth_plane.x + depth_plane.y * at.x + depth_plane.z * at.y;
     // With a corner behind the eye, rounding may draw the triangle on the eye's other side,
     // where its plane lies behind the eye: just as near as its mirror image before it.
-    if (depth_range.y > 1e29) z = abs(z);
-    return clamp(z, depth_range.x, depth_range.y);
+    return depth_range.y > 1e29 ? abs(z) : z;
+}
+
+float plane_depth(dvec2 at) {
+    return clamp(float(plane_depth_unrounded(at)), depth_range.x, depth_range.y);
 }
 #endif

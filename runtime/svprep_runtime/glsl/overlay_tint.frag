@@ -11,8 +11,9 @@ layout(location = 0) out vec4 shown;
 
 void main() {
 #ifdef OF_VOLUME
-    if (!is_covered()) discard;
-    gl_FragDepth = plane_depth();
+    dvec2 at = dvec2(gl_FragCoord.xy);
+    if (!is_covered(at)) discard;
+    gl_FragDepth = plane_depth(at);
     shown = is_front != 0 ? front : back;
 #else
     shown = front;

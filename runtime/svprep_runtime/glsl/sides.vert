@@ -32,6 +32,8 @@ void main() {
     p[0] = end_of_segment(a, entry.y, false);
     p[1] = is_second ? end_of_segment(b, entry.y, true) : end_of_segment(b, entry.y, false);
     p[2] = end_of_segment(is_second ? a : b, entry.y, true);
+    gl_Position = NOWHERE;
+    if (is_outside(p[0], p[1], p[2])) return;
     set_depth_plane(p[0], p[1], p[2]);
     gl_Position = set_coverage(p[0], p[1], p[2], gl_VertexID % 3);
 }

@@ -14,7 +14,7 @@ void main() {
     for (uint k = 0u; k < 3u; k++) {
         p[k] = vec4(position_of(corners[3u * uint(gl_PrimitiveIDIn) + k]), 1.0);
     }
-    if (is_edge_on(p[0], p[1], p[2])) return;
+    if (is_outside(p[0], p[1], p[2]) || is_edge_on(p[0], p[1], p[2])) return;
     for (int k = 0; k < 3; k++) {
         set_depth_plane(p[0], p[1], p[2]);
         gl_PrimitiveID = gl_PrimitiveIDIn;

@@ -25,7 +25,7 @@ const uint NO_INDEX = 0xffffffffu;
 invariant gl_Position;
 
 void triangle(vec4 a, vec4 b, vec4 c) {
-    vec4 p[3] = vec4[3](a, b, c);
+    if (is_outside(a, b, c)) return;
     for (int k = 0; k < 3; k++) {
         set_depth_plane(a, b, c);
         gl_Position = set_coverage(a, b, c, k);

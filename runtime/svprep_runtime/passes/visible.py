@@ -1,4 +1,11 @@
-"""The first pass: depth, and which face each pixel sees."""
+"""The first passes: which face each pixel sees, and where volumes are counted for it.
+
+see         faces --> the nearest float32 depth, and the first face of the file that has it
+displace    X --> X', a little to the eye's side of that face
+see again   faces --> of all that have that depth, the one that float64 says is nearest;
+            and whether one of them hides X' from the eye
+settle      X' where that says otherwise --> depth
+"""
 
 from __future__ import annotations
 
@@ -10,7 +17,9 @@ from svprep_runtime.state import PassState, apply
 from svprep_runtime.targets import Targets
 
 STATE: Final = PassState(depth_test="greater", depth_write=True)
-"""Strictly nearer wins, so of coincident faces the first one of the file."""
+"""Strictly nearer wins, so of faces at one depth the first one of the file."""
+DISPLACE: Final = PassState(depth_test=None, color_write=False)
+SETTLE: Final = PassState(depth_test="always", depth_write=True, color_write=False)
 
 
 def see(
@@ -33,17 +42,49 @@ def see(
     for side in (g.GL_FRONT, g.GL_BACK):
         gl.glStencilMaskSeparate(side, 0xFF)
     gl.glClearNamedFramebufferuiv(targets.see_into, g.GL_COLOR, 0, (g._U * 4)())
+    gl.glClearNamedFramebufferfv(targets.see_into, g.GL_COLOR, 1, (g._F * 4)())
     gl.glClearNamedFramebufferfi(targets.see_into, g.GL_DEPTH_STENCIL, 0, 0.0, 0)
     options = ("CUT_AT_NEAR",) if cut_at_near else ()
+    _draw_faces(programs, uniforms, n_faces, options, by_geometry_shader)
+
+
+def see_again(
+    programs: Programs,
+    targets: Targets,
+    uniforms: dict[str, Any],
+    n_faces: int,
+    *,
+    cut_at_near: bool,
+    by_geometry_shader: bool = False,
+) -> None:
+    """Draw all faces once more, against what `see` and `displace` found.
+
+    Two walls a few micrometres apart have one float32 depth at a hundred metres. What is
+    left in the depth buffer is no depth: `settle` writes it.
+    """
+    gl = programs.context.gl
+    targets.bind(targets.see_again_into)
+    targets.bind_displaced()
+    apply(gl, STATE)
+    gl.glClearNamedFramebufferfi(targets.see_again_into, g.GL_DEPTH_STENCIL, 0, 0.0, 0)
+    gl.glBindTextureUnit(1, targets.count)
+    options = ("AGAIN", "CUT_AT_NEAR") if cut_at_near else ("AGAIN",)
+    _draw_faces(programs, uniforms, n_faces, options, by_geometry_shader)
+
+
+def _draw_faces(
+    programs: Programs,
+    uniforms: dict[str, Any],
+    n_faces: int,
+    options: tuple[str, ...],
+    by_geometry_shader: bool,
+) -> None:
     if by_geometry_shader:
         program = programs.get("nothing.vert", "visible.frag", "visible.geom", options)
     else:
         program = programs.get("visible.vert", "visible.frag", options=options)
     program.set(uniforms)
     program.draw(g.GL_TRIANGLES, 3 * n_faces)
-
-
-DISPLACE: Final = PassState(depth_test="always", depth_write=True, color_write=False)
 
 
 def displace(programs: Programs, targets: Targets, uniforms: dict[str, Any]) -> None:
@@ -53,10 +94,27 @@ def displace(programs: Programs, targets: Targets, uniforms: dict[str, Any]) -> 
     nothing. Without that, a volume that begins on the very surface that is seen, or whose
     side lies in it, is before or behind X as its rounding falls.
     """
+    _over_picture(programs, targets, uniforms, DISPLACE, ())
+
+
+def settle(programs: Programs, targets: Targets, uniforms: dict[str, Any]) -> None:
+    """Write the depth that volumes are counted against, that of X'."""
+    _over_picture(programs, targets, uniforms, SETTLE, ("AGAIN",))
+    programs.context.gl.glMemoryBarrier(g.GL_ALL_BARRIER_BITS)
+
+
+def _over_picture(
+    programs: Programs,
+    targets: Targets,
+    uniforms: dict[str, Any],
+    state: PassState,
+    options: tuple[str, ...],
+) -> None:
     gl = programs.context.gl
     targets.bind(targets.displace_into)
-    apply(gl, DISPLACE)
+    targets.bind_displaced()
+    apply(gl, state)
     gl.glBindTextureUnit(0, targets.seen)
-    program = programs.get("whole.vert", "displace.frag")
+    program = programs.get("whole.vert", "displace.frag", options=options)
     program.set(uniforms)
     program.draw(g.GL_TRIANGLES, 3)
