@@ -44,9 +44,11 @@ MOST_LIFT_M: Final = 0.01
 """and at most this: what stands 2 cm above a surface shades it, however far away it is seen."""
 MOST_SLANT: Final = 4.0
 """X moves along its ray, at most so many times farther than along the normal."""
-MOST_SHIFT_PX: Final = 3.0 / 64.0
-"""X' lies no farther beside its pixel's centre: what ``coverage.glsl`` draws faces wider by, less
-what a rasteriser may move corners."""
+MOST_SHIFT_PX: Final = 0.25
+"""X' lies no farther beside its pixel's centre: of what is metres away it may lie a pixel beside,
+and all triangles are drawn wider by as much as any X' lies beside,"""
+ROUNDING_PX: Final = 1.0 / 64.0
+"""and by this, more than a rasteriser moves corners."""
 
 
 _ONE_APART: Final = np.array([0.0, 1.0])
@@ -176,7 +178,7 @@ def draw(
     targets.clear_sums()
     for offset in sample_offsets(settings.samples):
         uniforms = {**camera_uniforms(camera, offset), **lift}
-        _find_visible(scene, targets, uniforms, settings, meter, cut_at_near)
+        uniforms |= _find_visible(scene, targets, uniforms, settings, meter, cut_at_near)
         with meter.measure("ambient"):
             add_ambient(scene.programs, targets, uniforms)
         # Only now: silhouettes are looked for while the driver draws what is seen.
@@ -204,10 +206,10 @@ def _find_visible(
     settings: Settings,
     meter: Meter,
     cut_at_near: bool,
-) -> None:
-    """Find the visible face of each pixel, and where volumes are counted for it."""
+) -> dict[str, float]:
+    """Find each pixel's visible face, and where volumes are counted for it; say how wide."""
 
-    def draw_faces(draw: Callable[..., None]) -> None:
+    def draw_faces(draw: Callable[..., None], uniforms: dict[str, Any]) -> None:
         draw(
             scene.programs,
             targets,
@@ -218,13 +220,17 @@ def _find_visible(
         )
 
     with meter.measure("see"):
-        draw_faces(see)
+        draw_faces(see, uniforms)
+    scene.tally.write(bytes(16))
     with meter.measure("displace"):
         displace(scene.programs, targets, uniforms)
+    shift_px = scene.read_shift_px()
+    wide = {"most_shift_px": shift_px, "wider_px": shift_px + ROUNDING_PX}
     with meter.measure("see again"):
-        draw_faces(see_again)
+        draw_faces(see_again, uniforms | wide)
     with meter.measure("settle"):
-        settle(scene.programs, targets, uniforms)
+        settle(scene.programs, targets, uniforms | wide)
+    return wide
 
 
 def _count(
@@ -332,7 +338,7 @@ def camera_uniforms(camera: Camera, offset_px: tuple[float, float] = (0.0, 0.0))
 
 
 def lift_uniforms(scene: Scene, camera: Camera) -> dict[str, float]:
-    """Return how far X is displaced, and by how much segments are longer for it."""
+    """Return how far X is displaced, and by how much segments and triangles are larger for it."""
     least_m = LIFT_ULPS * scene.ulp_m
     a_pixel = float(np.linalg.norm(np.diff(camera.directions(_ONE_APART, _LEVEL), axis=0)))
     farthest = float(((scene.corners - camera.eye) @ camera.forward).max())
@@ -343,6 +349,7 @@ def lift_uniforms(scene: Scene, camera: Camera) -> dict[str, float]:
         "least_lift_m": least_m,
         "most_slant": MOST_SLANT,
         "most_shift_px": MOST_SHIFT_PX,
+        "wider_px": ROUNDING_PX,
         "most_lift_m": most_m,
         "reach_m": MOST_SLANT * reached_m,
     }

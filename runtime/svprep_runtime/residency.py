@@ -7,7 +7,7 @@ binding    buffer          of
 3          facing          light    int8 a face, four a word
 4          segments        light    near, far, two slopes: 16 bytes
 5          entries         light    what to draw of the volumes: 8 bytes each
-6          tally           frame    negative pixels, highest count
+6          tally           frame    negative pixels, highest count, farthest shift
 7          neighbours      scene    uint32, 12 bytes a face (geometry shader only)
 """
 

@@ -151,6 +151,11 @@ class Scene:
             buffer.bind_to_storage_buffer(binding)
         self.tally.bind_to_storage_buffer(r.TALLY)
 
+    def read_shift_px(self) -> float:
+        """Return how far beside the centre of its pixel a point is displaced at most [pixels]."""
+        self.context.gl.glMemoryBarrier(g.GL_ALL_BARRIER_BITS)
+        return float(np.frombuffer(self.tally.read(4, offset=8), np.float32)[0])
+
     def read_tally(self) -> tuple[int, int]:
         """Return how many pixels have a negative count, and the highest count."""
         self.context.gl.glMemoryBarrier(g.GL_ALL_BARRIER_BITS)

@@ -55,6 +55,7 @@ def depth_of_side(
     scene.bind_light(lit)
     scene.bind_batch(batch)
     apply(gl, PassState(depth_test="always", depth_write=True))
+    gl.glBindTextureUnit(2, 0)  # asked at pixels' centres
     targets.bind(targets.count_into)
     gl.glClearNamedFramebufferfi(targets.count_into, g.GL_DEPTH_STENCIL, 0, 0.0, 0)
     targets.clear_count(0, "float")

@@ -1,9 +1,9 @@
 // Which pixels a triangle holds, decided in float64 at their centres instead of by the
 // rasteriser, which moves corners to a grid of 1/256 of a pixel.
 //
-//        . . . . . .      drawn: WIDER_PX larger on every side, so that the rasteriser
-//       .  /\      .      offers every pixel whose centre lies inside
-//      .  /  \    .       kept: those with the centre inside of the true edges
+//        . . . . . .      drawn: `wider_px` larger on every side, so that the rasteriser
+//       .  /\      .      offers every pixel whose centre lies inside, or less beside than X'
+//      .  /  \    .       of any pixel; kept: those asked at a place inside of the true edges
 //     .  /____\  .
 //    . . . . . . .
 //
@@ -16,22 +16,26 @@ flat out int is_front;
 
 uniform vec2 size_px;
 
-const double WIDER_PX = 1.0 / 16.0;
+uniform float wider_px;
 
 const vec4 NOWHERE = vec4(2, 2, 0, 1);
 
-// All three lie beyond one side of the picture, or behind the eye. It may say no too often.
+// All three lie beyond one side of the picture, by two pixels at least, or behind the eye: then
+// nothing of the triangle is drawn, and what follows need not be worked out.
 bool is_outside(vec4 a, vec4 b, vec4 c) {
     vec3 v[3] = vec3[3](vec3(from_eye(a)), vec3(from_eye(b)), vec3(from_eye(c)));
-    bvec3 is_left = bvec3(true), is_right = bvec3(true);  // across, up, and behind
+    float beyond = 0.01 + 4.0 / min(size_px.x, size_px.y);
+    bvec4 is_beyond = bvec4(true);
+    bool is_behind = true;
     for (int i = 0; i < 3; i++) {
-        float depth = dot(v[i], row_forward);
-        vec3 at = vec3(dot(v[i], row_right), dot(v[i], row_up), 0.0);
-        float most = depth + 0.01 * abs(depth) + 1e-5 * length(v[i]);
-        is_left = bvec3(is_left.x && at.x < -most, is_left.y && at.y < -most, is_left.z && depth < 0.0);
-        is_right = bvec3(is_right.x && at.x > most, is_right.y && at.y > most, false);
+        float x = dot(v[i], row_right), y = dot(v[i], row_up), depth = dot(v[i], row_forward);
+        float rounding = 1e-5 * length(v[i]);
+        float most = depth + beyond * abs(depth) + rounding;
+        bvec4 is_this = greaterThan(vec4(x, -x, y, -y), vec4(most));
+        is_beyond = bvec4(uvec4(is_beyond) & uvec4(is_this));
+        is_behind = is_behind && depth < -rounding;
     }
-    return any(is_left) || any(is_right);
+    return is_behind || any(is_beyond);
 }
 
 // How far inside of the edge from a to b (eye-relative, w = 0 at infinity) a pixel lies.
@@ -72,7 +76,7 @@ vec4 set_coverage(vec4 a, vec4 b, vec4 c, int k) {
     }
     if (n_before == 0) return NOWHERE;
     dvec3 wide[3] = edge_line;
-    for (int i = 0; i < 3; i++) wide[i].x += WIDER_PX;
+    for (int i = 0; i < 3; i++) wide[i].x += double(wider_px);
     // (w, w column, w row), a meeting of two edges. Of a triangle that reaches behind the eye,
     // the edge behind it may pass the corner before it: the larger triangle is inside out.
     dvec3 corner = -turn * cross(wide[(k + 2) % 3], wide[k]);

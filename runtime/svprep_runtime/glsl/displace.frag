@@ -14,6 +14,7 @@ layout(binding = 0) uniform usampler2D seen_of_pixel;
 // (x, y, z, seen): from the centre of the pixel to X' [pixels], its reversed depth, floats by
 // their bits, z negative where X' is hidden; and of what is seen.
 layout(binding = 0, rgba32ui) uniform uimage2D displaced;
+layout(std430, binding = 6) buffer Tally { uint tally[]; };  // 2: how far beside any X' lies
 
 uniform vec3 eye;
 uniform vec3 row_forward;
@@ -87,6 +88,8 @@ void main() {
     if (seen != 0u) {
         vec3 x = displace((seen & 0x7fffffffu) - 1u, double(most_shift_px));
         found = uvec4(floatBitsToUint(x), seen);
+        uint far = floatBitsToUint(length(x.xy));
+        if (far > tally[2]) atomicMax(tally[2], far);
     }
     imageStore(displaced, pixel, found);
 }

@@ -4,7 +4,7 @@
 #include "mesh.glsl"
 #include "facing.glsl"
 
-layout(std430, binding = 6) buffer Tally { uint tally[]; };  // negative pixels, highest count
+layout(std430, binding = 6) buffer Tally { uint tally[]; };  // 0: negative pixels, 1: highest count
 
 layout(binding = 0) uniform usampler2D seen_of_pixel;
 #ifdef IN_STENCIL
