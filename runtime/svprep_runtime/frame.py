@@ -36,14 +36,13 @@ BRIGHTNESS: Final = 0.68
 """Of all lights together, on a surface that faces them: with the sky's, just below white."""
 SAMPLE_RADIUS_PX: Final = 0.35
 LIFT_PX: Final = 1.0 / 512.0
-"""How far X is displaced: of 1/4096 to 1/256 the one with the fewest pixels that differ from
-rays (119 million pixels of five cities),"""
+"""How far X is displaced along the normal of its face, in pixels at its depth,"""
 LIFT_ULPS: Final = 8.0
 """and at least so many float32 ulps of the model's largest coordinate."""
 MOST_LIFT_M: Final = 0.01
 """and at most this: what stands 2 cm above a surface shades it, however far away it is seen."""
 MOST_SLANT: Final = 4.0
-"""X moves along its ray, at most so many times farther than along the normal."""
+"""Where X moves along its ray: at most so many times farther than along the normal."""
 MOST_SHIFT_PX: Final = 0.25
 """X' lies no farther beside its pixel's centre: of what is metres away it may lie a pixel beside,
 and all triangles are drawn wider by as much as any X' lies beside,"""
