@@ -98,8 +98,8 @@ class Tracer:
             return NOT_FOUND
         if nearest != face_judged:
             return (
-                f"the ray meets face {nearest} in float64, as drawn; the judge's float32 ray "
-                f"meets {face_judged}, {self._beside_px(nearest, ray):.1g} px beside"
+                f"the ray meets face {nearest} in float64, as drawn, "
+                f"{self._beside_px(nearest, ray):.1g} px inside; the judge found {face_judged}"
             )
         point = self._eye + met[nearest] * ray
         normal = self._towards_eye(nearest)
@@ -129,7 +129,8 @@ class Tracer:
         hidden = self._met(self._eye, along)
         hidden[face] = np.inf
         most_px = MOST_SHIFT_PX
-        if lifted < self._camera.near_m or (hidden < 1.0).any():
+        is_hidden = (hidden < 1.0) & (hidden * lifted >= self._camera.near_m)
+        if lifted < self._camera.near_m or is_hidden.any():
             most_px = 0.0
         if shift_px <= most_px:
             return self._eye + along

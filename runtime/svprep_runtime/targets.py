@@ -13,7 +13,7 @@ votes    R32F      samples in shadow, one a light
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ from svprep.errors import EnvironmentProblem, InputError
 from svprep.model import F32, U8, U32
 from svprep_runtime import gl_raw as g
 from svprep_runtime.context import Context
-
-BYTES_A_PIXEL: Final = 8 + 4 + 4 + 16 + 16 + 4
 
 
 @dataclass(slots=True)

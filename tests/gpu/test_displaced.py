@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from svprep.model import Prepared
 from svprep_runtime import frame
 from svprep_runtime import gl_raw as g
+from svprep_runtime.camera import Camera
 from svprep_runtime.frame import Settings
 from tests.gpu.scenes import Stage, built, camera_of, light_of, rays_of
 from tests.unit.hours_scenes import box, level, sheet
@@ -55,13 +59,13 @@ def test_points_are_displaced_along_the_normal_but_where_that_hides_them(
     rows, columns = np.nonzero(seen)
     face = (seen[rows, columns] & 0x7FFFFFFF).astype(int) - 1
     shift = found[rows, columns, :2].copy().view(np.float32).astype(float)
-    eye, rays = rays_of(camera)
+    seen_from, rays = rays_of(camera)
     right, down = rays[0, 1] - rays[0, 0], rays[1, 0] - rays[0, 0]
     rays = rays[rows, columns]
     away = near_m / depth[rows, columns].astype(float)
     placed = (rays + shift[:, :1] * right - shift[:, 1:] * down) * away[:, None]
 
-    corners = prepared.mesh.positions[prepared.mesh.faces].astype(float) - eye
+    corners = prepared.mesh.positions[prepared.mesh.faces].astype(float) - seen_from
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     normal *= np.where((normal * corners[:, 0]).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
@@ -84,3 +88,54 @@ def test_points_are_displaced_along_the_normal_but_where_that_hides_them(
     assert (shift[~is_along] == 0.0).all()
     height = ((placed - at) * n).sum(axis=1)
     assert (height[~is_along] > 0.0).all()
+
+
+def strips_over_the_ground(seed: int) -> tuple[Prepared, Camera]:
+    """Strips a 50th of a millimetre above the ground, edge-on to an eye that looks up.
+
+    What is displaced of the ground is then farther from the picture's plane, and behind them.
+    """
+    rng = np.random.default_rng(seed)
+    pitch = np.radians(35.0)
+    up, ahead = np.cos(pitch), np.sin(pitch)
+    px = 2.0 * np.tan(np.radians(60.0)) / LARGER[1]
+    strips = []
+    for _ in range(60):
+        y = rng.uniform(1.0, 8.0)
+        x, turn = rng.uniform(-y, y) / 2.0, rng.uniform(-0.004, 0.004)
+        lift = frame.LIFT_PX * px * max(y * up - 2.0 * ahead, 0.3)
+        corners = [(x - 2, 0.2), (x + 2, 0.2), (x + 2, 3.0), (x - 2, 3.0)]
+        strips.append(
+            sheet([(a, y + turn * (a - x) - ahead * lift * t, up * lift * t) for a, t in corners])
+        )
+    prepared = built(level(-30, -30, 30, 30), *strips)
+    return prepared, camera_of(prepared, (0, 0, 2), (0, up, 2 + ahead), LARGER, fov_deg=120.0)
+
+
+def a_valley_at_pixel_centres() -> tuple[Prepared, Camera]:
+    """Two sheets that cross, steep, where pixels have their centres: at one float32 depth."""
+    sheets = [
+        sheet([(-3, 10 - d, -3), (3, 10 + d, -3), (3, 10 + d, 3), (-3, 10 - d, 3)]) for d in (9, -9)
+    ]
+    prepared = built(*sheets)
+    return prepared, camera_of(prepared, (0, 0, 0), (0, 1, 0), (65, 65))
+
+
+@pytest.mark.parametrize("scene_of", [lambda: strips_over_the_ground(1), a_valley_at_pixel_centres])
+def test_z_pass_counts_to_points_that_something_all_but_hides(
+    stage: Stage, scene_of: Callable[[], tuple[Prepared, Camera]]
+) -> None:
+    prepared, camera = scene_of()
+    highest = 0
+    for towards in ((0.1, -0.6, 0.8), (0.1, 0.6, 0.8), (-0.3, -1.0, 0.2), (0.3, -1.0, 0.2)):
+        light = np.array([*towards, 0.0], np.float32) / np.float32(np.linalg.norm(towards))
+        with stage.scene(prepared) as scene:
+            by_zpass, by_zfail = (
+                stage.draw(scene, camera, [light], Settings(method=method))[1]
+                for method in ("zpass", "zfail")
+            )
+            is_seen = stage.targets(camera.width_px, camera.height_px).read_seen() != 0
+        np.testing.assert_array_equal(by_zpass[is_seen], by_zfail[is_seen])
+        assert by_zpass[is_seen].min() >= 0
+        highest = max(highest, by_zpass[is_seen].max())
+    assert highest > 0

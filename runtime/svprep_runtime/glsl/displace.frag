@@ -67,15 +67,13 @@ vec3 displace(uint face, double most) {
 }
 
 #ifdef AGAIN
-// Where X' is hidden, or another face is seen than was thought; and writes the depth.
+// On the ray where X' is hidden, or may be, of another face than was thought; writes the depth.
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     uvec4 found = imageLoad(displaced, pixel);
     uint seen = texelFetch(seen_of_pixel, pixel, 0).r;
-    bool is_hidden = (found.z & 0x80000000u) != 0u;
-    if (is_hidden || seen != found.w) {
-        double most = is_hidden ? 0.0 : double(most_shift_px);
-        found.xyz = floatBitsToUint(displace((seen & 0x7fffffffu) - 1u, most));
+    if ((found.z & 0x80000000u) != 0u || seen != found.w) {
+        found.xyz = floatBitsToUint(displace((seen & 0x7fffffffu) - 1u, 0.0));
         imageStore(displaced, pixel, found);
     }
     gl_FragDepth = uintBitsToFloat(found.z);
