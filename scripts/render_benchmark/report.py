@@ -20,7 +20,8 @@ nothing left to draw to nothing left again, reading pictures back left out; "cou
 passes that draw volumes (of the shadow map: the map). Medians, with their range. "ratio" is
 to the frame without shadows of the same view, which is: see, ambient, light. "updates" are
 samples that changed the count; "ns" are of counting. "differ" are surface pixels whose shadow
-is not that of the first way with volumes."""
+is not that of the first way with volumes. "triangles" are those made: geometry shaders, which
+"each triangle" takes, too, make none that lie beside the picture."""
 COLD_EXPLAINED = """\
 A fresh process each, files and compiled kernels and shaders in the system's caches; seconds,
 medians with their range; "CPU" is of all threads, and other work disturbs it less. The camera

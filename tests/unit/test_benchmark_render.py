@@ -84,8 +84,9 @@ def test_every_way_draws_the_same_shadow(script: ModuleType, scene: Scene) -> No
             assert found.n_triangles == 4
             assert found.n_differing <= 10
     each, whole, clamped = (by_way[way] for way in ways[2:])
-    # Four triangles of three sides; two sheets of four, and the four triangles themselves.
-    assert (each.n_triangles, whole.n_triangles) == (12, 12)
+    # Four triangles of three sides, one of them beside the picture: a geometry shader leaves it.
+    # Two sheets of four sides, and the four triangles themselves.
+    assert (each.n_triangles, whole.n_triangles) == (11, 12)
     assert each.passes == ["z-pass"]
     assert 0 < clamped.n_updates <= whole.n_updates
 
