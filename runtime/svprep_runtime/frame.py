@@ -11,7 +11,7 @@ asks for the count. Everything that decides facing was uploaded; no shader decid
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
@@ -25,7 +25,7 @@ from svprep_runtime.measure import Meter, PassFigures
 from svprep_runtime.near_plane import is_projected, sort_components
 from svprep_runtime.passes.counting import Counter, When, count, count_near_plane
 from svprep_runtime.passes.lighting import add_ambient, add_light
-from svprep_runtime.passes.visible import displace, see, see_again, settle
+from svprep_runtime.passes.visible import Faces, displace, see, see_again, settle
 from svprep_runtime.scene import Construction, LitScene, Scene
 from svprep_runtime.state import PassState, apply
 from svprep_runtime.targets import Targets
@@ -207,26 +207,16 @@ def _find_visible(
     cut_at_near: bool,
 ) -> dict[str, float]:
     """Find each pixel's visible face, and where volumes are counted for it; say how wide."""
-
-    def draw_faces(draw: Callable[..., None], uniforms: dict[str, Any]) -> None:
-        draw(
-            scene.programs,
-            targets,
-            uniforms,
-            scene.n_faces,
-            cut_at_near=cut_at_near,
-            by_geometry_shader=settings.construction != "vertex",
-        )
-
+    faces = Faces(scene.n_faces, cut_at_near, settings.construction != "vertex")
     with meter.measure("see"):
-        draw_faces(see, uniforms)
+        see(scene.programs, targets, uniforms, faces)
     scene.tally.write(bytes(16))
     with meter.measure("displace"):
         displace(scene.programs, targets, uniforms)
     shift_px = scene.read_shift_px()
     wide = {"most_shift_px": shift_px, "wider_px": shift_px + ROUNDING_PX}
     with meter.measure("see again"):
-        draw_faces(see_again, uniforms | wide)
+        see_again(scene.programs, targets, uniforms | wide, faces)
     with meter.measure("settle"):
         settle(scene.programs, targets, uniforms | wide)
     return wide

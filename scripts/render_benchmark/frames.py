@@ -21,7 +21,7 @@ from svprep_runtime.frame import Method, Settings, camera_uniforms, draw, lift_u
 from svprep_runtime.measure import Meter, PassFigures
 from svprep_runtime.passes.counting import Counter
 from svprep_runtime.passes.lighting import add_ambient, add_light
-from svprep_runtime.passes.visible import see
+from svprep_runtime.passes.visible import Faces, see
 from svprep_runtime.scene import Construction, Scene
 from svprep_runtime.targets import Targets
 
@@ -197,8 +197,8 @@ def see_ambient(scene: Scene, targets: Targets, camera: Camera, meter: Meter) ->
     targets.clear_sums()
     uniforms = {**camera_uniforms(camera), **lift_uniforms(scene, camera)}
     with meter.measure("see"):
-        cut = is_cut_at_near(scene.cache, camera)
-        see(scene.programs, targets, uniforms, scene.n_faces, cut_at_near=cut)
+        faces = Faces(scene.n_faces, is_cut_at_near(scene.cache, camera))
+        see(scene.programs, targets, uniforms, faces)
     with meter.measure("ambient"):
         add_ambient(scene.programs, targets, uniforms)
     return uniforms

@@ -25,17 +25,16 @@ const vec4 NOWHERE = vec4(2, 2, 0, 1);
 bool is_outside(vec4 a, vec4 b, vec4 c) {
     vec3 v[3] = vec3[3](vec3(from_eye(a)), vec3(from_eye(b)), vec3(from_eye(c)));
     float beyond = 0.01 + 4.0 / min(size_px.x, size_px.y);
-    bvec4 is_beyond = bvec4(true);
+    vec4 least = vec4(1e30);  // how far beyond each side all of them lie
     bool is_behind = true;
     for (int i = 0; i < 3; i++) {
         float x = dot(v[i], row_right), y = dot(v[i], row_up), depth = dot(v[i], row_forward);
         float rounding = 1e-5 * length(v[i]);
         float most = depth + beyond * abs(depth) + rounding;
-        bvec4 is_this = greaterThan(vec4(x, -x, y, -y), vec4(most));
-        is_beyond = bvec4(uvec4(is_beyond) & uvec4(is_this));
+        least = min(least, vec4(x, -x, y, -y) - most);
         is_behind = is_behind && depth < -rounding;
     }
-    return is_behind || any(is_beyond);
+    return is_behind || any(greaterThan(least, vec4(0.0)));
 }
 
 // How far inside of the edge from a to b (eye-relative, w = 0 at infinity) a pixel lies.

@@ -9,6 +9,7 @@ settle      X' where that says otherwise --> depth
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 from svprep_runtime import gl_raw as g
@@ -22,20 +23,29 @@ DISPLACE: Final = PassState(depth_test=None, color_write=False)
 SETTLE: Final = PassState(depth_test="always", depth_write=True, color_write=False)
 
 
-def see(
-    programs: Programs,
-    targets: Targets,
-    uniforms: dict[str, Any],
-    n_faces: int,
-    *,
-    cut_at_near: bool,
-    by_geometry_shader: bool = False,
-) -> None:
-    """Draw all faces in their own order; far is 0, and nothing seen is 0.
+@dataclass(frozen=True, slots=True)
+class Faces:
+    """All faces of the scene that is bound, and how they are drawn."""
 
-    `cut_at_near`: leave out what is nearer than the near plane; only worth its cost
-    where something is.
-    """
+    n: int
+    cut_at_near: bool
+    """Leave out what is nearer than the near plane; only worth its cost where something is."""
+    by_geometry_shader: bool = False
+
+    def draw(self, programs: Programs, uniforms: dict[str, Any], *options: str) -> None:
+        """Draw them in their own order."""
+        if self.cut_at_near:
+            options += ("CUT_AT_NEAR",)
+        if self.by_geometry_shader:
+            program = programs.get("nothing.vert", "visible.frag", "visible.geom", options)
+        else:
+            program = programs.get("visible.vert", "visible.frag", options=options)
+        program.set(uniforms)
+        program.draw(g.GL_TRIANGLES, 3 * self.n)
+
+
+def see(programs: Programs, targets: Targets, uniforms: dict[str, Any], faces: Faces) -> None:
+    """Draw all faces; far is 0, and nothing seen is 0."""
     gl = programs.context.gl
     targets.bind(targets.see_into)
     apply(gl, STATE)
@@ -44,19 +54,10 @@ def see(
     gl.glClearNamedFramebufferuiv(targets.see_into, g.GL_COLOR, 0, (g._U * 4)())
     gl.glClearNamedFramebufferfv(targets.see_into, g.GL_COLOR, 1, (g._F * 4)())
     gl.glClearNamedFramebufferfi(targets.see_into, g.GL_DEPTH_STENCIL, 0, 0.0, 0)
-    options = ("CUT_AT_NEAR",) if cut_at_near else ()
-    _draw_faces(programs, uniforms, n_faces, options, by_geometry_shader)
+    faces.draw(programs, uniforms)
 
 
-def see_again(
-    programs: Programs,
-    targets: Targets,
-    uniforms: dict[str, Any],
-    n_faces: int,
-    *,
-    cut_at_near: bool,
-    by_geometry_shader: bool = False,
-) -> None:
+def see_again(programs: Programs, targets: Targets, uniforms: dict[str, Any], faces: Faces) -> None:
     """Draw all faces once more, against what `see` and `displace` found.
 
     Two walls a few micrometres apart have one float32 depth at a hundred metres. What is
@@ -68,23 +69,7 @@ def see_again(
     apply(gl, STATE)
     gl.glClearNamedFramebufferfi(targets.see_again_into, g.GL_DEPTH_STENCIL, 0, 0.0, 0)
     gl.glBindTextureUnit(1, targets.count)
-    options = ("AGAIN", "CUT_AT_NEAR") if cut_at_near else ("AGAIN",)
-    _draw_faces(programs, uniforms, n_faces, options, by_geometry_shader)
-
-
-def _draw_faces(
-    programs: Programs,
-    uniforms: dict[str, Any],
-    n_faces: int,
-    options: tuple[str, ...],
-    by_geometry_shader: bool,
-) -> None:
-    if by_geometry_shader:
-        program = programs.get("nothing.vert", "visible.frag", "visible.geom", options)
-    else:
-        program = programs.get("visible.vert", "visible.frag", options=options)
-    program.set(uniforms)
-    program.draw(g.GL_TRIANGLES, 3 * n_faces)
+    faces.draw(programs, uniforms, "AGAIN")
 
 
 def displace(programs: Programs, targets: Targets, uniforms: dict[str, Any]) -> None:
