@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from svprep.light import parse_light
 from svprep.model import Mesh
-from svprep_runtime.camera import Camera
+from svprep_runtime.camera import Camera, look_at
 from svprep_runtime.frame import Settings
 from tests.gpu.scenes import Stage, built, camera_of, light_of, rays_of
 from tests.property.meshes import source_mesh
@@ -74,3 +75,37 @@ def test_the_face_at_the_centre_is_seen(stage: Stage, seed: int, construction: s
     assert len(np.unique(expected)) > 100
     wrong = is_sure & (found != expected)
     assert not wrong.any(), f"{wrong.sum()} of {is_sure.sum()}, first {np.argwhere(wrong)[0]}"
+
+
+def test_slivers_from_behind_the_eye_are_counted_alike(stage: Stage) -> None:
+    """z-pass draws their sides before a floor, z-fail those behind it: one lost tells.
+
+    Each speck lies behind the eye and shades a point of the ray of one pixel; its volume, a
+    hundredth of a pixel wide or less, ends in the picture where the light's rays vanish.
+    """
+    rng = np.random.default_rng(7)
+    n, sun = 15_000, parse_light("dir:135,40")
+    towards = np.array([sun.x, sun.y, sun.z])
+    floor = np.array([[[-700, -500, -100], [700, -500, -100], [0, 900, -100]]])
+    eye, target = (0.0, 0.0, 0.0), tuple([0.5, 0.3, 0.4] - 10.0 * towards)
+    _, rays = rays_of(look_at(np.array(eye), np.array(target), 512, 512))
+    ray = rng.permutation(rays.reshape(-1, 3))[:n]
+    shaded = 10.0 ** rng.uniform(0.0, 2.3, (n, 1)) * ray
+    on_floor = np.arange(0, n, 3)
+    shaded[on_floor] = ray[on_floor] * (-100.0 / ray[on_floor, 2:])
+    middle = shaded + rng.uniform(300.0, 500.0, (n, 1)) * towards
+    along = rng.normal(0.0, 1.0, (n, 3, 1)) * ray[:, None]
+    across = rng.normal(0.0, 1.0, (n, 3, 1)) * np.cross(ray, towards)[:, None]
+    specks = middle[:, None] + along + 10.0 ** rng.uniform(-3.0, -0.5, (n, 1, 1)) * across
+    soup = np.concatenate([specks, floor])
+    prepared = built(source_mesh(soup, np.arange(3 * len(soup)).reshape(-1, 3)))
+    camera = camera_of(prepared, eye, target, (512, 512))
+    with stage.scene(prepared) as scene:
+        light = light_of(prepared, "dir:135,40")
+        (picture, zpass), (_, zfail) = (
+            stage.draw(scene, camera, [light], Settings(method=method, clamp=False))
+            for method in ("zpass", "zfail")
+        )
+    wrong = zpass != zfail
+    assert not wrong.any(), f"{wrong.sum()} pixels, first {np.argwhere(wrong)[0]}"
+    assert picture.in_shadow[0].sum() > 500

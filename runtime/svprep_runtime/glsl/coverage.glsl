@@ -19,6 +19,7 @@ uniform vec2 size_px;
 uniform float wider_px;
 
 const vec4 NOWHERE = vec4(2, 2, 0, 1);
+const double FARTHEST_PX = 16384.0;  // where float32 still has steps of 1/1024
 
 // All three lie beyond one side of the picture, by two pixels at least, or behind the eye: then
 // nothing of the triangle is drawn, and what follows need not be worked out.
@@ -48,41 +49,98 @@ dvec3 line_of_edge(dvec3 a, dvec3 b, double turn) {
     return in_a_pixel > 0.0 ? line / in_a_pixel : line;
 }
 
-// The wedge of a triangle of which corner f alone lies before the eye: it ends nowhere.
-dvec3 corner_of_wedge(dvec3 wide[3], int f, int k) {
-    dvec2 after = wide[f].yz, before = wide[(f + 2) % 3].yz;
-    if (k == (f + 2) % 3) {
-        dvec2 swapped = after;
-        after = before;
-        before = swapped;
+// The corners of the larger triangle, (w, w column, w row) with w = 0 at infinity, and whether
+// float32 and clipping keep its edges in the picture where they are, to a fraction of ROUNDING_PX.
+bool find_corners(dvec3 wide[3], bool is_before[3], int n_before, double turn,
+                  out dvec3 corner[3]) {
+    int n_far = 0;
+    for (int i = 0; i < 3; i++) {
+        dvec3 ends = wide[(i + 2) % 3], begins = wide[i], opposite = wide[(i + 1) % 3];
+        corner[i] = -turn * cross(ends, begins);
+        if (n_before == 1 && !is_before[i]) {  // a wedge, which ends nowhere
+            dvec2 line = is_before[(i + 2) % 3] ? ends.yz : begins.yz;
+            dvec2 away = dvec2(-line.y, line.x);
+            corner[i] = dvec3(0.0, dot(away, opposite.yz) < 0.0 ? -away : away);
+        }
+        double most = max(abs(corner[i].y), abs(corner[i].z));
+        if (most >= FARTHEST_PX * abs(corner[i].x)) n_far++;
     }
-    dvec2 away = dvec2(-after.y, after.x);
-    return dvec3(0.0, dot(away, before) < 0.0 ? -away : away);
+    // An edge between corners that are far off is turned; a wedge has two of them, and no edge.
+    if (n_before != 2) return n_far <= (n_before == 1 ? 2 : 1);
+    // So is one to a corner behind the eye whose mirror image lies close to the other corner.
+    double closest = 1e30;
+    for (int i = 0; i < 3; i++) {
+        int next = (i + 1) % 3;
+        if (is_before[i] == is_before[next]) continue;
+        dvec2 apart = abs(corner[i].yz / corner[i].x - corner[next].yz / corner[next].x);
+        closest = min(closest, max(apart.x, apart.y));
+    }
+    // Growing, the edge before the eye may have passed that image: it is inside out.
+    bool is_turned = dot(wide[1], corner[0]) <= 0.0;
+    return n_far <= 1 && !is_turned && closest > double(max(size_px.x, size_px.y)) / 32.0;
 }
 
-// Sets what the fragments ask; returns where corner k of the larger triangle is drawn.
+// Narrows a rectangle to about that part of it which lies inside of a line.
+void narrow(inout dvec2 least, inout dvec2 most, dvec3 line) {
+    dvec2 highest = max(line.yz * least, line.yz * most);
+    dvec2 ends = -(line.x + highest.yx) / line.yz;
+    if (line.y > 0.0) least.x = max(least.x, ends.x);
+    if (line.y < 0.0) most.x = min(most.x, ends.x);
+    if (line.z > 0.0) least.y = max(least.y, ends.y);
+    if (line.z < 0.0) most.y = min(most.y, ends.y);
+}
+
+// Where corner k of another triangle is drawn, with which float32 has no trouble. It holds all
+// of the larger triangle that lies in the picture: a rectangle about that, and as much again.
+//
+//     |'-.                 along its sharpest corner, for most are slivers
+//     +---'-.
+//     |======'-.
+//     +---------'-
+vec4 corner_around(dvec3 wide[3], int k) {
+    double sharpest = 2.0;
+    dvec2 v = dvec2(0.0);
+    for (int i = 0; i < 3; i++) {
+        double sine = abs(determinant(dmat2(wide[(i + 2) % 3].yz, wide[i].yz)));
+        if (sine < sharpest && wide[i].yz != dvec2(0.0)) {
+            sharpest = sine;
+            v = wide[i].yz;
+        }
+    }
+    dvec2 u = dvec2(v.y, -v.x), picture = dvec2(size_px);
+    dvec2 middle = 0.5 * dvec2(dot(u, picture), dot(v, picture));
+    dvec2 reach = 0.5 * dvec2(dot(abs(u), picture), dot(abs(v), picture)) + 1.0;
+    dvec2 least = middle - reach, most = middle + reach;
+    for (int i = 0; i < 3; i++) {
+        narrow(least, most, dvec3(wide[i].x, dot(wide[i].yz, u), dot(wide[i].yz, v)));
+    }
+    dvec2 size = most - least;
+    if (min(size.x, size.y) <= 0.0) return NOWHERE;
+    if (k == 1) least.x += 2.0 * size.x;
+    if (k == 2) least.y += 2.0 * size.y;
+    return vec4(2.0 * (least.x * u + least.y * v) / picture - 1.0, 0.0, 1.0);
+}
+
+// Sets what the fragments ask; returns where corner k of what is drawn lies.
 vec4 set_coverage(vec4 a, vec4 b, vec4 c, int k) {
     dvec3 v[3] = dvec3[3](from_eye(a), from_eye(b), from_eye(c));
     double turn = dot(v[0], cross(v[1], v[2])) < 0.0 ? -1.0 : 1.0;
     is_front = turn < 0.0 ? 1 : 0;
-    int f = 0, n_before = 0;
+    int n_before = 0;
+    bool is_before[3];
     for (int i = 0; i < 3; i++) {
         edge_line[i] = line_of_edge(v[i], v[(i + 1) % 3], turn);
-        if (dot(v[i], dvec3(row_forward)) > 0.0) {
-            f = i;
-            n_before++;
-        }
+        is_before[i] = dot(v[i], dvec3(row_forward)) > 0.0;
+        n_before += int(is_before[i]);
     }
     if (n_before == 0) return NOWHERE;
-    dvec3 wide[3] = edge_line;
+    dvec3 wide[3] = edge_line, corner[3];
     for (int i = 0; i < 3; i++) wide[i].x += double(wider_px);
-    // (w, w column, w row), a meeting of two edges. Of a triangle that reaches behind the eye,
-    // the edge behind it may pass the corner before it: the larger triangle is inside out.
-    dvec3 corner = -turn * cross(wide[(k + 2) % 3], wide[k]);
-    bool is_turned = turn * dot(wide[0], cross(wide[1], wide[2])) >= 0.0;
-    if (is_turned && k != f) corner = corner_of_wedge(wide, f, k);
-    corner /= max(abs(corner.x), max(abs(corner.y), abs(corner.z)));
-    return vec4(2.0 * corner.yz / dvec2(size_px) - corner.x, 0.0, corner.x);
+    if (!find_corners(wide, is_before, n_before, turn, corner)) {
+        return corner_around(wide, is_front != 0 ? k : 2 - k);
+    }
+    dvec3 at = corner[k] / max(abs(corner[k].x), max(abs(corner[k].y), abs(corner[k].z)));
+    return vec4(2.0 * at.yz / dvec2(size_px) - at.x, 0.0, at.x);
 }
 #else
 flat in dvec3 edge_line[3];
