@@ -471,7 +471,7 @@ def _say_default_light(lights: list[str] | None) -> None:
 def main() -> None:
     """Run the command line and leave with its exit status; no traceback reaches a user."""
     # Compiling makes millions of short-lived objects that are in no cycle: look less often.
-    gc.set_threshold(100_000, 20, 20)
+    gc.set_threshold(250_000, 20, 20)
     _leave(run())
 
 

@@ -124,8 +124,8 @@ def _last_depth(blocks, level_start, n_levels, u0, u1, v0, v1, t0, stack):
 
 
 @_helper
-def _overlap(blocks, slabs, j, rectangle, part):
-    """Write what a trial needs of cluster j: its overlap with the rectangle, box and slab.
+def _overlap(blocks, slabs, j, rectangle, parts, row):
+    """Write what a trial needs of cluster j to a row: its overlap with the rectangle, box and slab.
 
     ``u0, u1, v0, v1`` of the overlap, and the slab ``su, sv, lo, hi``, count from the
     rectangle's middle; then the box's least and most depth.
@@ -133,28 +133,28 @@ def _overlap(blocks, slabs, j, rectangle, part):
     block, lane = j // 8, j % 8
     mid_u = 0.5 * (rectangle[0] + rectangle[1])
     mid_v = 0.5 * (rectangle[2] + rectangle[3])
-    part[0] = max(rectangle[0], np.float64(blocks[block, 0, lane])) - mid_u
-    part[1] = min(rectangle[1], np.float64(blocks[block, 1, lane])) - mid_u
-    part[2] = max(rectangle[2], np.float64(blocks[block, 2, lane])) - mid_v
-    part[3] = min(rectangle[3], np.float64(blocks[block, 3, lane])) - mid_v
+    parts[row, 0] = max(rectangle[0], np.float64(blocks[block, 0, lane])) - mid_u
+    parts[row, 1] = min(rectangle[1], np.float64(blocks[block, 1, lane])) - mid_u
+    parts[row, 2] = max(rectangle[2], np.float64(blocks[block, 2, lane])) - mid_v
+    parts[row, 3] = min(rectangle[3], np.float64(blocks[block, 3, lane])) - mid_v
     middle = slabs[j, 0] * mid_u + slabs[j, 1] * mid_v
-    part[4], part[5] = slabs[j, 0], slabs[j, 1]
-    part[6], part[7] = slabs[j, 2] + middle, slabs[j, 3] + middle
-    part[8], part[9] = slabs[j, 4], np.float64(blocks[block, 4, lane])
+    parts[row, 4], parts[row, 5] = slabs[j, 0], slabs[j, 1]
+    parts[row, 6], parts[row, 7] = slabs[j, 2] + middle, slabs[j, 3] + middle
+    parts[row, 8], parts[row, 9] = slabs[j, 4], np.float64(blocks[block, 4, lane])
 
 
 @_helper
-def _spread(part, su, sv):
+def _spread(parts, row, su, sv):
     """Return the least and most ``t - su u - sv v`` of a receiver within the rectangle.
 
     Of two bounds, by its slab and by its box, the narrower one holds.
     """
-    u0, u1, v0, v1 = part[0], part[1], part[2], part[3]
-    du, dv = part[4] - su, part[5] - sv
-    low = part[6] + min(du * u0, du * u1) + min(dv * v0, dv * v1)
-    high = part[7] + max(du * u0, du * u1) + max(dv * v0, dv * v1)
-    least = part[8] - max(su * u0, su * u1) - max(sv * v0, sv * v1)
-    most = part[9] - min(su * u0, su * u1) - min(sv * v0, sv * v1)
+    u0, u1, v0, v1 = parts[row, 0], parts[row, 1], parts[row, 2], parts[row, 3]
+    du, dv = parts[row, 4] - su, parts[row, 5] - sv
+    low = parts[row, 6] + min(du * u0, du * u1) + min(dv * v0, dv * v1)
+    high = parts[row, 7] + max(du * u0, du * u1) + max(dv * v0, dv * v1)
+    least = parts[row, 8] - max(su * u0, su * u1) - max(sv * v0, sv * v1)
+    most = parts[row, 9] - min(su * u0, su * u1) - min(sv * v0, sv * v1)
     return max(low, least), min(high, most)
 
 
@@ -189,12 +189,13 @@ def _deepest(parts, found, begin, end):
     """
     best, su, sv = -_FAR, 0.0, 0.0
     for i in range(begin, end):
-        part = parts[found[i]]
-        u = min(max(0.0, part[0]), part[1])
-        v = min(max(0.0, part[2]), part[3])
-        at = min(part[7] + part[4] * u + part[5] * v, part[9])
-        if at > best or (at == best and (part[4] > su or (part[4] == su and part[5] > sv))):
-            best, su, sv = at, part[4], part[5]
+        row = found[i]
+        u = min(max(0.0, parts[row, 0]), parts[row, 1])
+        v = min(max(0.0, parts[row, 2]), parts[row, 3])
+        tu, tv = parts[row, 4], parts[row, 5]
+        at = min(parts[row, 7] + tu * u + tv * v, parts[row, 9])
+        if at > best or (at == best and (tu > su or (tu == su and tv > sv))):
+            best, su, sv = at, tu, tv
     return su, sv
 
 
@@ -329,8 +330,8 @@ def clamp_casters(
             )
             back = max(back, np.float64(last_depth))
         for i in range(n_found):
-            _overlap(blocks, slabs, found[i], rectangle, parts[n])
-            low, high = _spread(parts[n], 0.0, 0.0)
+            _overlap(blocks, slabs, found[i], rectangle, parts, n)
+            low, high = _spread(parts, n, 0.0, 0.0)
             if high >= front and low <= high:
                 cluster[n] = found[i]
                 begin[n], end[n], found[n] = low, high, n
@@ -360,7 +361,7 @@ def clamp_casters(
                 su, sv = _slope(su), _slope(sv)
                 low, high = _FAR, -_FAR
                 for k in range(start, i):
-                    a, b = _spread(parts[found[k]], su, sv)
+                    a, b = _spread(parts, found[k], su, sv)
                     low, high = min(low, a), max(high, b)
                 slanted = cap * math.sqrt(1.0 + su * su + sv * sv)
                 if n_segments == 0:
@@ -378,7 +379,7 @@ def clamp_casters(
             if i > start and surface > _WORTH_CUTTING and len(order) > 0:
                 # Receivers are cut, the deepest one first, until none that is not could be.
                 for k in range(start, i):
-                    _, bound[k] = _spread(parts[found[k]], slope_u, slope_v)
+                    _, bound[k] = _spread(parts, found[k], slope_u, slope_v)
                     is_cut[k] = False
                 for _ in range(_MOST_CUTS):
                     at = start

@@ -5,6 +5,9 @@ corner or an edge must meet nowhere else. Every sign is exact: a cross product
 of grid differences fits int64, and its dot product with a third difference is
 summed in two halves of 26 bits.
 
+Functions take points, not tables with the row of one: Numba counts each table's users in and
+out of a call, which took half of the time. A triangle is three points, a point three integers.
+
 Plain twin: `svprep.reference.triangles_touch`.
 """
 
@@ -18,17 +21,11 @@ _helper = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfun
 
 
 @_helper
-def _side(p, a, b, c, x):
-    """Sign of ``((b - a) x (c - a)) . (x - a)`` for rows of `p`, exact."""
-    ux = p[b, 0] - p[a, 0]
-    uy = p[b, 1] - p[a, 1]
-    uz = p[b, 2] - p[a, 2]
-    wx = p[c, 0] - p[a, 0]
-    wy = p[c, 1] - p[a, 1]
-    wz = p[c, 2] - p[a, 2]
-    dx = p[x, 0] - p[a, 0]
-    dy = p[x, 1] - p[a, 1]
-    dz = p[x, 2] - p[a, 2]
+def _side(a, b, c, x):
+    """Sign of ``((b - a) x (c - a)) . (x - a)``, exact."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    wx, wy, wz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    dx, dy, dz = x[0] - a[0], x[1] - a[1], x[2] - a[2]
     nx = uy * wz - uz * wy
     ny = uz * wx - ux * wz
     nz = ux * wy - uy * wx
@@ -40,8 +37,8 @@ def _side(p, a, b, c, x):
 
 
 @_helper
-def _apart_in_plane(p, i, j, s, t):
-    """Whether a line along an edge of triangle ``s`` strictly parts it from ``t``.
+def _apart_in_plane(i, j, s, t):
+    """Whether a line along an edge of triangle `s` strictly parts it from `t`.
 
     Both lie in one plane and are seen along its dominant axis, so that axes
     i and j remain. `t` may be a segment (two equal corners). Touching is not
@@ -51,15 +48,15 @@ def _apart_in_plane(p, i, j, s, t):
         a = s[c]
         b = s[(c + 1) % 3]
         inside = s[(c + 2) % 3]
-        ux = p[b, i] - p[a, i]
-        uy = p[b, j] - p[a, j]
+        ux = b[i] - a[i]
+        uy = b[j] - a[j]
         if ux == 0 and uy == 0:
             continue
-        own = ux * (p[inside, j] - p[a, j]) - uy * (p[inside, i] - p[a, i])
+        own = ux * (inside[j] - a[j]) - uy * (inside[i] - a[i])
         least = np.int64(-1)
         most = np.int64(1)
         for k in range(3):
-            d = ux * (p[t[k], j] - p[a, j]) - uy * (p[t[k], i] - p[a, i])
+            d = ux * (t[k][j] - a[j]) - uy * (t[k][i] - a[i])
             if k == 0:
                 least = d
                 most = d
@@ -72,14 +69,11 @@ def _apart_in_plane(p, i, j, s, t):
 
 
 @_helper
-def _meet_in_plane(p, s, t):
+def _meet_in_plane(s, t):
     """Whether triangle `s` and coplanar triangle or segment `t` share a point."""
-    ux = p[s[1], 0] - p[s[0], 0]
-    uy = p[s[1], 1] - p[s[0], 1]
-    uz = p[s[1], 2] - p[s[0], 2]
-    wx = p[s[2], 0] - p[s[0], 0]
-    wy = p[s[2], 1] - p[s[0], 1]
-    wz = p[s[2], 2] - p[s[0], 2]
+    a, b, c = s
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    wx, wy, wz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     nx = abs(uy * wz - uz * wy)
     ny = abs(uz * wx - ux * wz)
     nz = abs(ux * wy - uy * wx)
@@ -91,7 +85,7 @@ def _meet_in_plane(p, s, t):
     elif ny >= nz:
         i = 2
         j = 0
-    return not (_apart_in_plane(p, i, j, s, t) or _apart_in_plane(p, i, j, t, s))
+    return not (_apart_in_plane(i, j, s, t) or _apart_in_plane(i, j, t, s))
 
 
 @_helper
@@ -104,101 +98,108 @@ def _boxes_apart(box, a, other, b):
 
 
 @_helper
-def _edge_meets(p, triangles, which, c, scratch):
-    """Whether edge c of one triangle shares a point with the other one.
-
-    ``triangles (2, 3)``: rows of `p`; the edge is of triangle `which`;
-    `scratch (3,)`.
-    """
-    a = triangles[which, c]
-    b = triangles[which, c + 1 if c < 2 else 0]
-    s = triangles[1 - which]
-    first = 0
-    last = 0
-    for k in range(2):
-        first = last
-        last = _side(p, s[0], s[1], s[2], a if k == 0 else b)
+def _edge_meets(a, b, s):
+    """Whether the edge from a to b shares a point with triangle `s`, of another plane."""
+    first = _side(s[0], s[1], s[2], a)
+    last = _side(s[0], s[1], s[2], b)
     if first * last > 0:
         return False
     if first == 0 and last == 0:
-        scratch[0] = a
-        scratch[1] = b
-        scratch[2] = b
-        return _meet_in_plane(p, s, scratch)
+        return _meet_in_plane(s, (a, b, b))
     has_left = False
     has_right = False
     for k in range(3):
-        turn = _side(p, a, b, s[k], s[k + 1 if k < 2 else 0])
+        turn = _side(a, b, s[k], s[k + 1 if k < 2 else 0])
         has_left |= turn > 0
         has_right |= turn < 0
     return not (has_left and has_right)
 
 
 @_helper
-def _is_folded(p, s, t):
+def _is_folded(s, t):
     """Whether coplanar triangles that share corners 0 and 1 lie on one side of that edge."""
+    a, b, c = s
     same = 0.0
     for i in range(3):
         j = i + 1 if i < 2 else 0
-        ui = p[s[1], i] - p[s[0], i]
-        uj = p[s[1], j] - p[s[0], j]
-        n = ui * (p[s[2], j] - p[s[0], j]) - uj * (p[s[2], i] - p[s[0], i])
-        m = ui * (p[t[2], j] - p[s[0], j]) - uj * (p[t[2], i] - p[s[0], i])
+        ui = b[i] - a[i]
+        uj = b[j] - a[j]
+        n = ui * (c[j] - a[j]) - uj * (c[i] - a[i])
+        m = ui * (t[2][j] - a[j]) - uj * (t[2][i] - a[i])
         same += np.float64(n) * np.float64(m)
     return same > 0.0
 
 
 @_helper
-def _wedges_meet(p, s, t, normal, f):
+def _wedges_meet(s, t, normal):
     """Whether coplanar triangles that share corner 0 alone meet elsewhere, too.
 
     They do iff their wedges at that corner meet, so iff a ray that bounds one of these lies
-    in the other. Seen along the dominant axis of row f of `normal`.
+    in the other. Seen along the dominant axis of their `normal`.
     """
-    axis = 1 if abs(normal[f, 1]) > abs(normal[f, 0]) else 0
-    if abs(normal[f, 2]) > abs(normal[f, axis]):
+    axis = 1 if abs(normal[1]) > abs(normal[0]) else 0
+    if abs(normal[2]) > abs(normal[axis]):
         axis = 2
     i, j = (axis + 1) % 3, (axis + 2) % 3
     v = s[0]
     for k in range(2):
-        a, b = (s[1], s[2]) if k == 0 else (t[1], t[2])
-        ai, aj = p[a, i] - p[v, i], p[a, j] - p[v, j]
-        bi, bj = p[b, i] - p[v, i], p[b, j] - p[v, j]
+        wedge, other = (s, t) if k == 0 else (t, s)
+        ai, aj = wedge[1][i] - v[i], wedge[1][j] - v[j]
+        bi, bj = wedge[2][i] - v[i], wedge[2][j] - v[j]
         turn = 1 if ai * bj - aj * bi > 0 else -1
         for m in range(1, 3):
-            x = t[m] if k == 0 else s[m]
-            xi, xj = p[x, i] - p[v, i], p[x, j] - p[v, j]
+            xi, xj = other[m][i] - v[i], other[m][j] - v[j]
             if turn * (ai * xj - aj * xi) >= 0 and turn * (xi * bj - xj * bi) >= 0:
                 return True
     return False
 
 
 @_helper
-def _triangles_touch(p, triangles, is_flat, scratch, normal, f):
-    """Whether two triangles meet elsewhere than in the corners they share.
+def _swapped(s, a, b):
+    """Return three things with those at a and b in each other's place."""
+    x, y = s[a], s[b]
+    first = y if a == 0 else x if b == 0 else s[0]
+    second = y if a == 1 else x if b == 1 else s[1]
+    third = y if a == 2 else x if b == 2 else s[2]
+    return first, second, third
 
-    ``triangles (2, 3)``: rows of `p`, each reordered here so that shared
-    corners come first. `is_flat`: they lie in one plane, whose normal is row f of `normal`.
-    """
-    s = triangles[0]
-    t = triangles[1]
-    shared = 0
+
+@_helper
+def _shared_first(s, t):
+    """Return the corners of two triangles, those that they share first, and how many these are."""
+    n = 0
     for a in range(3):
-        for b in range(shared, 3):
+        for b in range(n, 3):
             if s[a] == t[b]:
-                s[a], s[shared] = s[shared], s[a]
-                t[b], t[shared] = t[shared], t[b]
-                shared += 1
+                s = _swapped(s, a, n)
+                t = _swapped(t, b, n)
+                n += 1
                 break
-    if shared == 3:
+    return s, t, n
+
+
+@_helper
+def _point(p, i):
+    """Return row i of ``p (n, 3)``: a point, or the corners of a face."""
+    return p[i, 0], p[i, 1], p[i, 2]
+
+
+@_helper
+def _triangles_touch(s, t, n_shared, is_flat, normal):
+    """Whether two triangles meet elsewhere than in the corners they share, which come first.
+
+    `is_flat`: they lie in one plane, of that `normal`.
+    """
+    if n_shared == 3:
         return True
-    if shared == 2:
-        return is_flat and _is_folded(p, s, t)
-    if shared == 1 and is_flat:
-        return _wedges_meet(p, s, t, normal, f)
+    if n_shared == 2:
+        return is_flat and _is_folded(s, t)
+    if n_shared == 1 and is_flat:
+        return _wedges_meet(s, t, normal)
     # With one corner shared, only the edges opposite to it tell.
-    for k in range(shared, 6, 3 if shared == 1 else 1):
-        if _edge_meets(p, triangles, k // 3, k % 3, scratch):
+    for k in range(n_shared, 6, 3 if n_shared == 1 else 1):
+        triangle, other = (s, t) if k < 3 else (t, s)
+        if _edge_meets(triangle[k % 3], triangle[(k + 1) % 3], other):
             return True
     return False
 
@@ -267,8 +268,6 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
     node_range = np.empty((most + 1, 2), np.int64)
     node_child = np.empty(most + 1, np.int64)
     stack = np.empty((most + 64, 2), np.int64)
-    triangles = np.empty((2, 3), np.int64)
-    scratch = np.empty(3, np.int64)
     for k in range(begin, end):
         first_face = face_start[candidates[k]]
         n = face_start[candidates[k] + 1] - first_face
@@ -375,10 +374,14 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
                         # Two single corners are two places: one place were a shared corner.
                         if back == 0 or (contact == 1 and back == 1):
                             continue
-                        for c in range(3):
-                            triangles[0, c] = corners[f, c]
-                            triangles[1, c] = corners[g, c]
-                        if _triangles_touch(points, triangles, contact == 3, scratch, normal, f):
+                        s, t, n_shared = _shared_first(_point(corners, f), _point(corners, g))
+                        if _triangles_touch(
+                            (_point(points, s[0]), _point(points, s[1]), _point(points, s[2])),
+                            (_point(points, t[0]), _point(points, t[1]), _point(points, t[2])),
+                            n_shared,
+                            contact == 3,
+                            _point(normal, f),
+                        ):
                             found = True
                             break
                     if found:

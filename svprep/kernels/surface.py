@@ -116,9 +116,10 @@ def grow_planes(
         seed = seeds[k]
         if seed_of_face[seed] >= 0:
             continue
-        n = normals[seed]
-        a = grid_positions[faces[seed, 0]]
-        length2 = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+        nx, ny, nz = normals[seed, 0], normals[seed, 1], normals[seed, 2]
+        a = faces[seed, 0]
+        ax, ay, az = grid_positions[a, 0], grid_positions[a, 1], grid_positions[a, 2]
+        length2 = nx * nx + ny * ny + nz * nz
         limit = tolerance_steps * math.sqrt(length2)
         sine = math.sin(most_tilt_rad)
         tilt2 = sine * sine * length2  # a power would be compiled as a loop
@@ -135,19 +136,19 @@ def grow_planes(
                 g = other // 3
                 if seed_of_face[g] >= 0:
                     continue
-                m = normals[g]
-                x = n[1] * m[2] - n[2] * m[1]
-                y = n[2] * m[0] - n[0] * m[2]
-                z = n[0] * m[1] - n[1] * m[0]
-                if n[0] * m[0] + n[1] * m[1] + n[2] * m[2] <= 0.0 or (
-                    x * x + y * y + z * z > tilt2 * (m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+                mx, my, mz = normals[g, 0], normals[g, 1], normals[g, 2]
+                x = ny * mz - nz * my
+                y = nz * mx - nx * mz
+                z = nx * my - ny * mx
+                if nx * mx + ny * my + nz * mz <= 0.0 or (
+                    x * x + y * y + z * z > tilt2 * (mx * mx + my * my + mz * mz)
                 ):
                     continue
-                apex = grid_positions[faces[g, (other % 3 + 2) % 3]]
+                apex = faces[g, (other % 3 + 2) % 3]
                 distance = (
-                    n[0] * (np.float64(apex[0]) - np.float64(a[0]))
-                    + n[1] * (np.float64(apex[1]) - np.float64(a[1]))
-                    + n[2] * (np.float64(apex[2]) - np.float64(a[2]))
+                    nx * (np.float64(grid_positions[apex, 0]) - np.float64(ax))
+                    + ny * (np.float64(grid_positions[apex, 1]) - np.float64(ay))
+                    + nz * (np.float64(grid_positions[apex, 2]) - np.float64(az))
                 )
                 if abs(distance) <= limit:
                     seed_of_face[g] = seed
