@@ -38,6 +38,7 @@ from svprep.cli_options import (
     ViewLightsOption,
 )
 from svprep.errors import SvprepError
+from svprep.frame_room import with_room_for_frames
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 """Click's base exception, whether Typer brings Click along or depends on it."""
@@ -142,6 +143,8 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Read model files, repair them and write the cache."""
+    # Nothing here multiplies large matrices, and NumPy's threads for that spin when they start.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from svprep import cli_build, cli_clamp
 
     config = cli_build.config_of(
@@ -468,6 +471,7 @@ def _say_default_light(lights: list[str] | None) -> None:
         )
 
 
+@with_room_for_frames
 def main() -> None:
     """Run the command line and leave with its exit status; no traceback reaches a user."""
     # Compiling makes millions of short-lived objects that are in no cycle: look less often.

@@ -110,9 +110,13 @@ def _text_of(file: Any) -> str:
 
 
 def environment() -> dict[str, str]:
-    """Return the environment in which a new process finds this svprep."""
+    """Return the environment in which a new process finds this svprep.
+
+    It may keep svprep's bytecode, which an installed program has from the beginning.
+    """
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    return {**os.environ, "PYTHONPATH": path}
+    others = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    return {**others, "PYTHONPATH": path}
 
 
 def answer_of(done: Run, what: str) -> dict[str, Any]:
