@@ -91,12 +91,13 @@ void narrow(inout dvec2 least, inout dvec2 most, dvec3 line) {
 }
 
 // Where corner k of another triangle is drawn, with which float32 has no trouble. It holds all
-// of the larger triangle that lies in the picture: a rectangle about that, and as much again.
+// of the larger triangle that lies in the picture: twice as wide and high as a rectangle about
+// that, which lies along its sharpest corner, for most are slivers.
 //
-//     |'-.                 along its sharpest corner, for most are slivers
-//     +---'-.
-//     |======'-.
-//     +---------'-
+//    |'.
+//    |  '.
+//    +----'.
+//    |_____|'.
 vec4 corner_around(dvec3 wide[3], int k) {
     double sharpest = 2.0;
     dvec2 v = dvec2(0.0);
