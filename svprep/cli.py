@@ -145,6 +145,9 @@ def build(
     """Read model files, repair them and write the cache."""
     # Nothing here multiplies large matrices, and NumPy's threads for that spin when they start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from svprep import source_digest
+
+    source_digest.begin(inputs)
     from svprep import cli_build, cli_clamp
 
     config = cli_build.config_of(

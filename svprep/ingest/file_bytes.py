@@ -19,6 +19,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from svprep import source_digest
 from svprep.errors import InputError
 from svprep.model import U8
 
@@ -151,7 +152,9 @@ class Text:
         if self.content is not None:
             return hashlib.sha256(self.content).hexdigest()
         with file_errors(self.path), self.path.open("rb", buffering=0) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+            return (
+                source_digest.of(file.fileno()) or hashlib.file_digest(file, "sha256").hexdigest()
+            )
 
 
 class TextStream:
