@@ -15,7 +15,7 @@ from typing import Final
 
 LEAST_BYTES: Final = 1 << 23
 MOST_BYTES: Final = 1 << 28
-"""What takes longer than the imports would keep the first build from forking its compiler."""
+"""What takes much longer than the imports would only be waited for, if a build has to compile."""
 _BLOCK_BYTES: Final = 1 << 23
 """Few blocks: for each, the thread waits until the one that imports lets it go on."""
 
@@ -40,6 +40,12 @@ def of(file: int) -> str | None:
     """Return the digest of an open file, by its descriptor, if it was begun as it is now."""
     digest = _begun.get(_identity(os.fstat(file)))
     return None if digest is None else digest.wait()
+
+
+def settle() -> None:
+    """Wait until nothing is being hashed: a process is forked that has one thread only."""
+    for digest in _begun.values():
+        digest.join()
 
 
 class _Digest(threading.Thread):

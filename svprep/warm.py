@@ -35,6 +35,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from svprep import source_digest
 from svprep.parallel import thread_count
 
 SIGNATURES: dict[str, str] = {
@@ -297,6 +298,7 @@ def second_compiler(specs: Sequence[str] = ()) -> Iterator[None]:
         return
     start_compiler()
     leave_out_idle_passes()
+    source_digest.settle()
     end = None
     if thread_count() > 1:
         # A fork has only the thread that forks: what others were at would stay half done.
