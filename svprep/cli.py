@@ -9,10 +9,12 @@ evaluate the text of 70 options twice, a tenth of the time of ``svprep --help``.
 """
 
 import atexit
+import contextlib
 import gc
 import io
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -63,6 +65,22 @@ def root(
         raise typer.Exit
     if context.invoked_subcommand is None:
         print(context.get_help())
+
+
+@contextlib.contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Have a NumPy that is imported in the block start no threads, which spin for a while.
+
+    Nothing in a build multiplies large matrices. A number that the user gave stays.
+    """
+    name = "OPENBLAS_NUM_THREADS"
+    is_ours = name not in os.environ
+    os.environ.setdefault(name, "1")
+    try:
+        yield
+    finally:
+        if is_ours:
+            del os.environ[name]
 
 
 @app.command()
@@ -143,12 +161,11 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Read model files, repair them and write the cache."""
-    # Nothing here multiplies large matrices, and NumPy's threads for that spin when they start.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from svprep import source_digest
 
     source_digest.begin(inputs)
-    from svprep import cli_build, cli_clamp
+    with _one_blas_thread():
+        from svprep import cli_build, cli_clamp
 
     config = cli_build.config_of(
         weld_tolerance,
