@@ -14,7 +14,8 @@ from svprep.light import parse_light
 from svprep.model import Mesh
 from svprep_runtime.camera import Camera, look_at
 from svprep_runtime.frame import Settings
-from tests.gpu.scenes import Stage, built, camera_of, light_of, rays_of
+from svprep_runtime.judge import compare
+from tests.gpu.scenes import Stage, built, camera_of, light_of, rays_of, truth_of
 from tests.property.meshes import source_mesh
 
 SURE_PX = 1e-4
@@ -109,3 +110,38 @@ def test_slivers_from_behind_the_eye_are_counted_alike(stage: Stage) -> None:
     wrong = zpass != zfail
     assert not wrong.any(), f"{wrong.sum()} pixels, first {np.argwhere(wrong)[0]}"
     assert picture.in_shadow[0].sum() > 500
+
+
+@pytest.mark.parametrize("seed", [30, 32, 33])
+def test_sides_that_end_far_beside_the_picture_are_counted_alike(stage: Stage, seed: int) -> None:
+    """The light's rays vanish thousands of pixels beside the picture, behind the eye.
+
+    Specks between the eye and the sun lie close to where these would vanish before it.
+    """
+    rng = np.random.default_rng(seed)
+    spec = f"dir:{rng.uniform(75.0, 89.5):.3f},{rng.uniform(5.0, 45.0):.3f}"
+    sun, n = parse_light(spec), 1500
+    towards = np.array([sun.x, sun.y, sun.z])
+    eye, target = np.array([0.0, 0.0, 1.7]), (0.0, 10.0, 1.7 - rng.uniform(0.0, 3.0))
+    middle = eye + towards * 10.0 ** rng.uniform(0.5, 2.0, (n, 1))
+    middle += rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-2.0, 0.3, (n, 1))
+    specks = middle[:, None] + rng.normal(size=(n, 3, 3)) * 10.0 ** rng.uniform(
+        -1.5, 0.3, (n, 1, 1)
+    )
+    floor = [[[-300, -100, 0], [300, -100, 0], [0, 500, 0]]]
+    wall = [[[-300, 60, -5], [300, 60, -5], [0, 60, 300]]]
+    soup = np.concatenate([specks, np.array(floor, float), np.array(wall, float)])
+    prepared = built(source_mesh(soup, np.arange(3 * len(soup)).reshape(-1, 3)))
+    camera = camera_of(prepared, eye, target, (200, 160), fov_deg=5.0)
+    light = light_of(prepared, spec)
+    with stage.scene(prepared) as scene:
+        (picture, zpass), (_, zfail) = (
+            stage.draw(scene, camera, [light], Settings(method=method, clamp=False))
+            for method in ("zpass", "zfail")
+        )
+    wrong = zpass != zfail
+    assert not wrong.any(), f"{wrong.sum()} pixels, first {np.argwhere(wrong)[0]}"
+    assert (zpass >= 0).all()
+    compared = compare(truth_of(prepared, camera, light), picture.mask, picture.is_surface)
+    assert compared.n_decidable > 25_000
+    assert compared.n_differing == 0

@@ -20,6 +20,7 @@ uniform float wider_px;
 
 const vec4 NOWHERE = vec4(2, 2, 0, 1);
 const double FARTHEST_PX = 16384.0;  // where float32 still has steps of 1/1024
+const double LEAST_SINE = 1e-4;
 
 // All three lie beyond one side of the picture, by two pixels at least, or behind the eye: then
 // nothing of the triangle is drawn, and what follows need not be worked out.
@@ -49,11 +50,18 @@ dvec3 line_of_edge(dvec3 a, dvec3 b, double turn) {
     return in_a_pixel > 0.0 ? line / in_a_pixel : line;
 }
 
+// How far off a corner (w, w column, w row) lies, or a side of the picture; times |w|.
+double reach_of(dvec3 corner) {
+    double side = max(size_px.x, size_px.y);
+    return max(side * abs(corner.x), max(abs(corner.y), abs(corner.z)));
+}
+
 // The corners of the larger triangle, (w, w column, w row) with w = 0 at infinity, and whether
 // float32 and clipping keep its edges in the picture where they are, to a fraction of ROUNDING_PX.
 bool find_corners(dvec3 wide[3], bool is_before[3], int n_before, double turn,
                   out dvec3 corner[3]) {
     int n_far = 0;
+    double sine = 0.0;  // of the bluntest corner: with none, all edges are one line
     for (int i = 0; i < 3; i++) {
         dvec3 ends = wide[(i + 2) % 3], begins = wide[i], opposite = wide[(i + 1) % 3];
         corner[i] = -turn * cross(ends, begins);
@@ -62,22 +70,22 @@ bool find_corners(dvec3 wide[3], bool is_before[3], int n_before, double turn,
             dvec2 away = dvec2(-line.y, line.x);
             corner[i] = dvec3(0.0, dot(away, opposite.yz) < 0.0 ? -away : away);
         }
+        sine = max(sine, abs(corner[i].x));
         double most = max(abs(corner[i].y), abs(corner[i].z));
         if (most >= FARTHEST_PX * abs(corner[i].x)) n_far++;
     }
     // An edge between corners that are far off is turned; a wedge has two of them, and no edge.
-    if (n_before != 2) return n_far <= (n_before == 1 ? 2 : 1);
+    if (sine < LEAST_SINE || n_far > (n_before == 1 ? 2 : 1)) return false;
+    if (n_before != 2) return true;
     // So is one to a corner behind the eye whose mirror image lies close to the other corner.
-    double closest = 1e30;
     for (int i = 0; i < 3; i++) {
-        int next = (i + 1) % 3;
-        if (is_before[i] == is_before[next]) continue;
-        dvec2 apart = abs(corner[i].yz / corner[i].x - corner[next].yz / corner[next].x);
-        closest = min(closest, max(apart.x, apart.y));
+        dvec3 a = corner[i], b = corner[(i + 1) % 3];
+        if (is_before[i] == is_before[(i + 1) % 3]) continue;
+        dvec2 apart = abs(a.yz * b.x - b.yz * a.x);
+        if (max(apart.x, apart.y) * FARTHEST_PX <= reach_of(a) * reach_of(b)) return false;
     }
     // Growing, the edge before the eye may have passed that image: it is inside out.
-    bool is_turned = dot(wide[1], corner[0]) <= 0.0;
-    return n_far <= 1 && !is_turned && closest > double(max(size_px.x, size_px.y)) / 32.0;
+    return dot(wide[1], corner[0]) > 0.0;
 }
 
 // Narrows a rectangle to about that part of it which lies inside of a line.
