@@ -162,7 +162,9 @@ def build(
 ) -> None:
     """Read model files, repair them and write the cache."""
     from svprep import source_digest
+    from svprep.process_memory import share_free_memory
 
+    share_free_memory()
     source_digest.begin(inputs)
     with _one_blas_thread():
         from svprep import cli_build, cli_clamp
