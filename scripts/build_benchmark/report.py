@@ -35,7 +35,8 @@ from build_benchmark.rounds import (
 from build_benchmark.series import Series, middle_s, spread
 
 EXPLAINED = """\
-Every process is a fresh one, by turns with the others of its section; seconds are medians with
+Every process is a fresh one, by turns with the others of its section (builds and peers in another
+order each time); seconds are medians with
 their range, ratios are taken round by round. Files and compiled kernels are in the system's
 caches ("warm") where nothing else is said. "CPU" is of all threads. "peak" is the most resident
 memory of any of these processes, as the system tells it when one has ended; MB are 10^6 bytes."""

@@ -7,6 +7,7 @@ agree, whatever they took over and however little memory they had; of others the
 from __future__ import annotations
 
 import os
+import random
 import shutil
 import sys
 import tempfile
@@ -108,10 +109,15 @@ class Bench:
         peers = dict(self._installed())
         self.full(BUILD, -1)
         for turn in range(self.n_rounds):
-            self.full(BUILD, turn)
-            for name, code in list(peers.items()):
-                done = self._run(BUILD, name, turn, [sys.executable, "-c", code, str(self.city)])
-                if done.exit_status:  # it would again
+            # In another order each time: what a large process gave back costs the next one time.
+            names = [FULL, *peers]
+            random.Random(turn).shuffle(names)
+            for name in names:
+                if name == FULL:
+                    self.full(BUILD, turn)
+                    continue
+                command = [sys.executable, "-c", peers[name], str(self.city)]
+                if self._run(BUILD, name, turn, command).exit_status:  # it would again
                     del peers[name]
 
     def first_builds(self) -> None:
