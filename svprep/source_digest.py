@@ -1,7 +1,8 @@
-"""The SHA-256 of a model's file, worked out while the modules that read it are imported.
+"""The SHA-256 of an OBJ file, worked out while the modules that read it are imported.
 
 Imports keep one core busy and leave the others idle; hashing a file of a hundred megabytes
-takes a core a tenth of a second. Without NumPy, which is not imported yet.
+takes a core a tenth of a second. Other formats are read whole, and then hashed without being
+read twice. Without NumPy, which is not imported yet.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Final
 LEAST_BYTES: Final = 1 << 23
 MOST_BYTES: Final = 1 << 28
 """What takes much longer than the imports would only be waited for, if a build has to compile."""
+_SUFFIXES: Final = (".obj", ".obj.gz")
 _BLOCK_BYTES: Final = 1 << 23
 """Few blocks: for each, the thread waits until the one that imports lets it go on."""
 
@@ -25,8 +27,8 @@ _begun: dict[Identity, _Digest] = {}
 
 
 def begin(inputs: Sequence[str]) -> None:
-    """Begin with the digest of a model that is one plain file of such a size, on a thread."""
-    if len(inputs) != 1:
+    """Begin with the digest of a model that is one OBJ file of such a size, on a thread."""
+    if len(inputs) != 1 or not inputs[0].lower().endswith(_SUFFIXES):
         return
     try:
         status = os.stat(inputs[0])

@@ -185,6 +185,13 @@ def _point(p, i):
 
 
 @_helper
+def _triangle(p, corners):
+    """Return the points of a face."""
+    a, b, c = corners
+    return _point(p, a), _point(p, b), _point(p, c)
+
+
+@_helper
 def _triangles_touch(s, t, n_shared, is_flat, normal):
     """Whether two triangles meet elsewhere than in the corners they share, which come first.
 
@@ -374,14 +381,9 @@ def touches_itself(points, faces, face_start, candidates, begin, end, touching):
                         # Two single corners are two places: one place were a shared corner.
                         if back == 0 or (contact == 1 and back == 1):
                             continue
-                        s, t, n_shared = _shared_first(_point(corners, f), _point(corners, g))
-                        if _triangles_touch(
-                            (_point(points, s[0]), _point(points, s[1]), _point(points, s[2])),
-                            (_point(points, t[0]), _point(points, t[1]), _point(points, t[2])),
-                            n_shared,
-                            contact == 3,
-                            _point(normal, f),
-                        ):
+                        at_s, at_t, n_shared = _shared_first(_point(corners, f), _point(corners, g))
+                        s, t = _triangle(points, at_s), _triangle(points, at_t)
+                        if _triangles_touch(s, t, n_shared, contact == 3, _point(normal, f)):
                             found = True
                             break
                     if found:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from svprep.light import parse_light
-from svprep.model import Mesh
+from svprep.model import Mesh, Prepared
 from svprep_runtime.camera import Camera, look_at
-from svprep_runtime.frame import Settings
+from svprep_runtime.frame import Picture, Settings
 from svprep_runtime.judge import compare
 from tests.gpu.scenes import Stage, built, camera_of, light_of, rays_of, truth_of
 from tests.property.meshes import source_mesh
@@ -78,6 +78,20 @@ def test_the_face_at_the_centre_is_seen(stage: Stage, seed: int, construction: s
     assert not wrong.any(), f"{wrong.sum()} of {is_sure.sum()}, first {np.argwhere(wrong)[0]}"
 
 
+def counted_alike(
+    stage: Stage, prepared: Prepared, camera: Camera, light: np.ndarray
+) -> tuple[Picture, np.ndarray]:
+    """Return the picture and the count of whole volumes, which z-pass and z-fail agree on."""
+    with stage.scene(prepared) as scene:
+        (picture, zpass), (_, zfail) = (
+            stage.draw(scene, camera, [light], Settings(method=method, clamp=False))
+            for method in ("zpass", "zfail")
+        )
+    wrong = zpass != zfail
+    assert not wrong.any(), f"{wrong.sum()} pixels, first {np.argwhere(wrong)[0]}"
+    return picture, zpass
+
+
 def test_slivers_from_behind_the_eye_are_counted_alike(stage: Stage) -> None:
     """z-pass draws their sides before a floor, z-fail those behind it: one lost tells.
 
@@ -101,14 +115,7 @@ def test_slivers_from_behind_the_eye_are_counted_alike(stage: Stage) -> None:
     soup = np.concatenate([specks, floor])
     prepared = built(source_mesh(soup, np.arange(3 * len(soup)).reshape(-1, 3)))
     camera = camera_of(prepared, eye, target, (512, 512))
-    with stage.scene(prepared) as scene:
-        light = light_of(prepared, "dir:135,40")
-        (picture, zpass), (_, zfail) = (
-            stage.draw(scene, camera, [light], Settings(method=method, clamp=False))
-            for method in ("zpass", "zfail")
-        )
-    wrong = zpass != zfail
-    assert not wrong.any(), f"{wrong.sum()} pixels, first {np.argwhere(wrong)[0]}"
+    picture, _ = counted_alike(stage, prepared, camera, light_of(prepared, "dir:135,40"))
     assert picture.in_shadow[0].sum() > 500
 
 
@@ -134,14 +141,8 @@ def test_sides_that_end_far_beside_the_picture_are_counted_alike(stage: Stage, s
     prepared = built(source_mesh(soup, np.arange(3 * len(soup)).reshape(-1, 3)))
     camera = camera_of(prepared, eye, target, (200, 160), fov_deg=5.0)
     light = light_of(prepared, spec)
-    with stage.scene(prepared) as scene:
-        (picture, zpass), (_, zfail) = (
-            stage.draw(scene, camera, [light], Settings(method=method, clamp=False))
-            for method in ("zpass", "zfail")
-        )
-    wrong = zpass != zfail
-    assert not wrong.any(), f"{wrong.sum()} pixels, first {np.argwhere(wrong)[0]}"
-    assert (zpass >= 0).all()
+    picture, count = counted_alike(stage, prepared, camera, light)
+    assert (count >= 0).all()
     compared = compare(truth_of(prepared, camera, light), picture.mask, picture.is_surface)
     assert compared.n_decidable > 25_000
     assert compared.n_differing == 0

@@ -52,7 +52,15 @@ def test_a_file_that_changed_is_hashed_as_it_is_now(model: Path, is_replaced: bo
 def test_nothing_is_begun_that_need_not_be(model: Path, tmp_path: Path) -> None:
     small = tmp_path / "small.obj"
     small.write_bytes(b"v 0 0 0\n")
-    for inputs in ([], [str(small)], [str(model), str(small)], [str(tmp_path)], ["a\0b"], ["none"]):
+    other = tmp_path / "model.city.json"  # read whole, and hashed then
+    other.write_bytes(model.read_bytes())
+    folder = tmp_path / "folder.obj"
+    folder.mkdir()
+    for inputs in (
+        [], [str(small)], [str(model), str(small)], [str(other)], [str(folder)],
+        ["a\0b.obj"], ["none.obj"],
+    ):  # fmt: skip
         source_digest.begin(inputs)
     assert early(model) is None
     assert early(small) is None
+    assert early(other) is None
