@@ -23,7 +23,7 @@ from svprep.ingest.inputs import expanded
 from svprep.ingest.options import HIGHEST, ReadOptions, is_lod
 from svprep.model import EdgeTable, Place
 from svprep.parallel import thread_count
-from svprep.process_memory import keep_free_memory
+from svprep.process_memory import keep_free_memory, use_small_pages
 from svprep.stage_clock import StageRow
 from svprep.warm import load_without_compiler, second_compiler
 
@@ -33,6 +33,7 @@ _MOST_NAMES: Final = 12
 _MOST_SOURCES: Final = 12
 _MOST_NOTES: Final = 25
 """What people are shown at most; --json and --report list all."""
+_MOST_BYTES_IN_SMALL_PAGES: Final = 1 << 28
 _LEAST_MEMORY: Final = 64 << 20
 _SIZE: Final = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,15})?) ?([kmgt]?)(?:i?b)?", re.IGNORECASE)
 _BYTES_OF_UNIT: Final = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
@@ -130,6 +131,8 @@ def build(
     load_without_compiler()
     if order.memory_bytes is None:
         keep_free_memory()
+    if _is_small(order.inputs):
+        use_small_pages()
     with second_compiler(order.lights), progress() as tell:
         result = pipeline.build(
             order.inputs,
@@ -193,6 +196,14 @@ def _cache_summary(cache: Cache) -> dict[str, Any]:
         **_content(cache),
         "datasets": cache.dataset_sizes(),
     }
+
+
+def _is_small(inputs: Sequence[str]) -> bool:
+    """Whether the inputs are files, not packed, that hold little; others would have to be read."""
+    files = [Path(each) for each in inputs]
+    if not all(file.is_file() and file.suffix.lower() != ".gz" for file in files):
+        return False
+    return sum(file.stat().st_size for file in files) <= _MOST_BYTES_IN_SMALL_PAGES
 
 
 def _content(cache: Cache) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Freed memory is kept while a build runs, and given back where memory is short."""
+"""Freed memory is kept while a build runs, and given back where memory is short; page sizes."""
 
 from __future__ import annotations
 
@@ -39,3 +39,22 @@ def test_freed_memory_is_kept_and_given_back() -> None:
     kept, left = map(float, done.stdout.split())
     assert kept > 48.0
     assert left < 16.0
+
+
+SMALL_PAGES = """
+import numpy as np
+from svprep.process_memory import use_small_pages
+
+use_small_pages()
+array = np.ones(1 << 23)
+text = open("/proc/self/smaps_rollup").read()
+print(text.split("AnonHugePages:")[1].split()[0])
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux is told of pages")
+def test_small_pages_hold_what_numpy_asks_large_ones_for() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SMALL_PAGES], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["0"]
