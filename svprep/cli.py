@@ -41,6 +41,7 @@ from svprep.cli_options import (
 )
 from svprep.errors import SvprepError
 from svprep.frame_room import with_room_for_frames
+from svprep.interrupts import keep_interrupts
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 """Click's base exception, whether Typer brings Click along or depends on it."""
@@ -498,6 +499,7 @@ def main() -> None:
     """Run the command line and leave with its exit status; no traceback reaches a user."""
     # Compiling makes millions of short-lived objects that are in no cycle: look less often.
     gc.set_threshold(250_000, 20, 20)
+    keep_interrupts()
     _leave(run())
 
 
