@@ -174,8 +174,13 @@ class Plan:
             return ()
         asked = {light.tobytes() for light in clamp.lights}
         n = sum(light.tobytes() not in asked for light in self.older.clamp.lights)
-        lights = "light is" if n == 1 else "lights are"
-        return (f"{n} {lights} in the older cache only: name them again to keep them",) if n else ()
+        if not n:
+            return ()
+        lights, them = ("light", "it") if n == 1 else ("lights", "them")
+        return (
+            f"{n} {lights} of the older cache not taken over: name {them} with --light, here or "
+            "for svprep clamp",
+        )
 
     @property
     def site(self) -> Site:

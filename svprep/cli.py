@@ -38,6 +38,7 @@ from svprep.cli_options import (
     SamplesOption,
     SizeOption,
     ViewLightsOption,
+    memory_of,
 )
 from svprep.errors import SvprepError
 from svprep.frame_room import with_room_for_frames
@@ -179,7 +180,7 @@ def build(
         crs=crs,
     )
     costs = cli_clamp.costs_of(cost_vertex, cost_area)
-    memory_bytes = None if memory is None else cli_build.memory_of(memory)
+    memory_bytes = None if memory is None else memory_of(memory, cli_build.LEAST_MEMORY)
     order = cli_build.Order(
         inputs, output, config, light or [], costs, report, memory_bytes, is_full=full
     )

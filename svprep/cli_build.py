@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
+import os
+import stat
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -34,9 +35,9 @@ _MOST_SOURCES: Final = 12
 _MOST_NOTES: Final = 25
 """What people are shown at most; --json and --report list all."""
 _MOST_BYTES_IN_SMALL_PAGES: Final = 1 << 28
-_LEAST_MEMORY: Final = 64 << 20
-_SIZE: Final = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,15})?) ?([kmgt]?)(?:i?b)?", re.IGNORECASE)
-_BYTES_OF_UNIT: Final = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
+_ABOUT: Final = 1.1
+"""The share of ``--memory`` that is held before a remark says so."""
+LEAST_MEMORY: Final = 64 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,28 +54,6 @@ class Order:
     """[B]: about what the process may hold; None: all of the model."""
     is_full: bool = False
     """Whether objects that an older cache holds are built again as well."""
-
-
-def memory_of(text: str) -> int:
-    """Return the bytes of ``"512M"``, ``"1.5GiB"``, ``"2 TB"`` or of a plain number of them.
-
-    K, M, G and T are powers of 1024, however they are written.
-
-    Raises
-    ------
-    typer.BadParameter
-        It is not of that form, or less than 64M.
-    """
-    match = _SIZE.fullmatch(text.strip())
-    if match is None:
-        raise typer.BadParameter(f'--memory "{text[:40]}" is not a size like 512M or 2G')
-    n_bytes = int(float(match[1]) * _BYTES_OF_UNIT[match[2].lower()])
-    if n_bytes < _LEAST_MEMORY:
-        raise typer.BadParameter(
-            f'--memory "{text[:40]}" is {n_bytes:,} bytes, too little to build with; '
-            "give 64M or more"
-        )
-    return n_bytes
 
 
 def config_of(
@@ -154,10 +133,23 @@ def build(
         "content_digest": result.cache.content_digest,
         **content,
         "reused_objects": result.reused,
-        "remarks": list(result.remarks),
+        "remarks": [*result.remarks, *_over_budget(result.stages, order.memory_bytes)],
         "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
         "stages": [_stage(row) for row in result.stages],
     }
+
+
+def _over_budget(stages: Sequence[StageRow], memory_bytes: int | None) -> list[str]:
+    """Return a remark if more was held than ``--memory`` says, which has no room for less."""
+    peak_mb = max((row.peak_mb or 0.0 for row in stages), default=0.0)
+    if memory_bytes is None or peak_mb * 1e6 <= memory_bytes * _ABOUT:
+        return []
+    return [
+        f"at most {peak_mb:,.0f} MB were held, more than the {memory_bytes / 1e6:,.0f} of "
+        "--memory: Python, its libraries, the scene tree, the lights and an object larger than a "
+        "tile are held all the same; so are pages of files, which the system takes back where it "
+        "needs them"
+    ]
 
 
 def _stage(row: StageRow) -> dict[str, Any]:
@@ -200,10 +192,16 @@ def _cache_summary(cache: Cache) -> dict[str, Any]:
 
 def _is_small(inputs: Sequence[str]) -> bool:
     """Whether the inputs are files, not packed, that hold little; others would have to be read."""
-    files = [Path(each) for each in inputs]
-    if not all(file.is_file() and file.suffix.lower() != ".gz" for file in files):
-        return False
-    return sum(file.stat().st_size for file in files) <= _MOST_BYTES_IN_SMALL_PAGES
+    n_bytes = 0
+    for each in inputs:
+        try:
+            status = os.stat(each)
+        except (OSError, ValueError):  # told when it is read, or it is a pattern
+            return False
+        if not stat.S_ISREG(status.st_mode) or each.lower().endswith(".gz"):
+            return False
+        n_bytes += status.st_size
+    return n_bytes <= _MOST_BYTES_IN_SMALL_PAGES
 
 
 def _content(cache: Cache) -> dict[str, Any]:

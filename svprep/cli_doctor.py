@@ -23,9 +23,14 @@ _PACKAGES: Final = (
 """By the extra that brings them; the first are always needed."""
 _DRAWING: Final = ("moderngl", "glcontext")
 _USES: Final = {
-    "view": "svprep render and view",
-    "judge": "svprep hours, validate --deep and validate --shadows",
-    "formats": "city files with a CRS, and Draco-compressed tiles",
+    "moderngl": "svprep render and view",
+    "moderngl-window": "svprep view",
+    "Pillow": "svprep render and view",
+    "embreex": "svprep hours, validate --deep and validate --shadows",
+    "manifold3d": "svprep validate --deep",
+    "pymeshlab": "comparisons in tests and benchmarks",
+    "pyproj": "city files with a CRS",
+    "DracoPy": "Draco-compressed tiles",
 }
 
 
@@ -87,7 +92,7 @@ def _package(name: str, extra: str) -> dict[str, Any]:
         return _fact(name, "good", importlib.metadata.version(name))
     except importlib.metadata.PackageNotFoundError:
         status = "missing" if extra else "bad"
-        use = f", for {_USES[extra]}" if extra else ""
+        use = f", for {_USES[name]}" if extra else ""
         return _fact(name, status, f"not installed{use}", _install(extra))
 
 

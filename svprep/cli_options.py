@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import re
+from typing import Annotated, Final
 
 import typer
 
@@ -85,3 +86,28 @@ MemoryOption = Annotated[
     str | None,
     typer.Option(metavar="SIZE", help="Graphics memory for buffers, such as 512M. Default 4G."),
 ]
+
+_SIZE: Final = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,15})?) ?([kmgt]?)(?:i?b)?", re.IGNORECASE)
+_BYTES_OF_UNIT: Final = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
+
+
+def memory_of(text: str, least: int = 0) -> int:
+    """Return the bytes of ``"512M"``, ``"1.5GiB"``, ``"2 TB"`` or of a plain number of them.
+
+    K, M, G and T are powers of 1024, however they are written.
+
+    Raises
+    ------
+    typer.BadParameter
+        It is not of that form, or less than `least`.
+    """
+    match = _SIZE.fullmatch(text.strip())
+    if match is None:
+        raise typer.BadParameter(f'--memory "{text[:40]}" is not a size like 512M or 2G')
+    n_bytes = int(float(match[1]) * _BYTES_OF_UNIT[match[2].lower()])
+    if n_bytes < least:
+        raise typer.BadParameter(
+            f'--memory "{text[:40]}" is {n_bytes:,} bytes, too little to build with; '
+            f"give {least >> 20}M or more"
+        )
+    return n_bytes

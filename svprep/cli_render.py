@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import typer
 
 from svprep.cache.reader import Cache, open_cache
+from svprep.cli_options import memory_of
 from svprep.errors import require_extra
 from svprep.light import Light, is_arc, is_sun, parse_light
 from svprep.output_file import OutputKind, write_whole
@@ -29,9 +30,6 @@ CLAMPS: Final = ("auto", "none")
 COUNTERS: Final = ("float", "stencil")
 CONSTRUCTIONS: Final = ("vertex", "geometry")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[xX]([0-9]{1,6})")
-_MEMORY: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)([kKmMgG]?)[bB]?")
-_UNITS: Final = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
-_LONGEST_NUMBER: Final = 24
 _TITLE: Final = "svprep"
 _Name = TypeVar("_Name", bound=str)
 
@@ -174,20 +172,6 @@ def size_of(text: str) -> tuple[int, int]:
     if match is None or not int(match[1]) or not int(match[2]):
         raise typer.BadParameter(f'--size "{text}" is not WIDTHxHEIGHT in pixels, like 1280x1024')
     return int(match[1]), int(match[2])
-
-
-def memory_of(text: str) -> int:
-    """Return bytes of ``"512M"``, ``"2G"`` or plain bytes.
-
-    Raises
-    ------
-    typer.BadParameter
-        It is not of that form.
-    """
-    match = _MEMORY.fullmatch(text.strip())
-    if match is None or len(text) > _LONGEST_NUMBER:
-        raise typer.BadParameter(f'--memory "{text[:40]}" is not a size like 512M or 2G')
-    return int(float(match[1]) * _UNITS[match[2].lower()])
 
 
 def lights_of(cache: Cache, view: ViewOptions) -> tuple[Light, ...]:

@@ -1,22 +1,52 @@
-"""Ctrl-C that is heard at an inconvenient moment, and must not be lost.
+"""Ctrl-C that comes at an inconvenient moment: it must do no harm there, and not be lost.
 
 Python raises KeyboardInterrupt wherever its main thread happens to be. In what C code calls
-back (LLVM, through ctypes, while Numba compiles and loads kernels), in what is run as objects
-are freed, no one can take an exception: Python would print it, and go on.
+back (LLVM, through ctypes, while Numba compiles and loads kernels; HDF5, which writes through
+an object of ours), or in what is run as objects are freed, no one can take an exception.
+Python prints it and goes on; HDF5 may crash.
 """
 
 from __future__ import annotations
 
 import _thread
+import contextlib
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
 _SOON_S: Final = 0.01
+
+
+@contextlib.contextmanager
+def interrupts_held_back() -> Iterator[Callable[[], None]]:
+    """Have a Ctrl-C wait until the block ends, or until it calls what it is given.
+
+    Nothing is changed on another than the main thread, and where Ctrl-C is ignored or ends
+    the process at once.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    came: list[Any] = []
+
+    def interrupt() -> None:
+        if came and callable(before):
+            frame = came.pop()
+            came.clear()
+            before(signal.SIGINT, frame)
+
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
+        yield interrupt
+        return
+    signal.signal(signal.SIGINT, lambda number, frame: came.append(frame))
+    try:
+        yield interrupt
+    finally:
+        signal.signal(signal.SIGINT, before)
+    interrupt()
 
 
 def keep_interrupts() -> None:

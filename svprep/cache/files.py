@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 
 from svprep.errors import CacheError, EnvironmentProblem
+from svprep.interrupts import interrupts_held_back
 
 try:
     import fcntl
@@ -102,7 +103,7 @@ def resolve_target(path: str | os.PathLike[str]) -> Path:
                 f"{target} exists and is not a cache of svprep, so it is not "
                 "overwritten. Choose another name with -o, or remove it first"
             )
-        with Temporary(target):
+        with interrupts_held_back(), Temporary(target):
             pass
     except OSError as error:
         raise problem_of(error, target) from error
@@ -158,9 +159,10 @@ def exclusive_lock(target: Path, wait_s: float = 0.0) -> Iterator[None]:
             os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
         yield
     finally:
-        with contextlib.suppress(OSError):
-            lock_path.unlink()
-        os.close(fd)
+        with interrupts_held_back():
+            with contextlib.suppress(OSError):
+                lock_path.unlink()
+            os.close(fd)
 
 
 def _try_lock(lock_path: Path) -> int | None:

@@ -48,6 +48,7 @@ from svprep.cache.schema import (
 )
 from svprep.cache.vtkhdf import write_vtk
 from svprep.errors import EnvironmentProblem, InternalError
+from svprep.interrupts import interrupts_held_back
 from svprep.model import Prepared
 
 WRITE_POINTS: Final[tuple[str, ...]] = (
@@ -188,15 +189,20 @@ def _replace(
     checkpoint: Checkpoint | None,
 ) -> CacheSummary:
     """Write what `contents` returns under the lock; the outline of all writing."""
-    at: Checkpoint = checkpoint or (lambda name: None)
+    hook: Checkpoint = checkpoint or (lambda name: None)
     target = resolve_target(path)
     with exclusive_lock(target, lock_wait_s):
         try:
             remove_leftovers(target)
-            at("locked")
+            hook("locked")
             datasets, attributes = contents(target)
             sizes = _checked_sizes(datasets, attributes)
-            with Temporary(target) as temporary:
+            with interrupts_held_back() as interrupt, Temporary(target) as temporary:
+
+                def at(point: str) -> None:
+                    interrupt()
+                    hook(point)
+
                 at("temp_created")
                 content = _write_hdf5(temporary, datasets, attributes, at)
                 at("flushed")
@@ -205,7 +211,7 @@ def _replace(
                 n_bytes = temporary.rename()
         except OSError as error:
             raise problem_of(error, target) from error
-        at("renamed")
+        hook("renamed")
         try:
             sync_folder(target.parent)
         except OSError as error:
@@ -213,7 +219,7 @@ def _replace(
                 f"{target} was written, but its folder could not be synced to the disk ({error}). "
                 "A power failure now may bring the older cache back; build again"
             ) from error
-        at("folder_synced")
+        hook("folder_synced")
     return CacheSummary(target, n_bytes, content, sizes)
 
 

@@ -413,7 +413,8 @@ def _without_pyproj(
             raise require_extra("pyproj", "formats", f'{file}: the CRS "{shown(name)}"')
     note = (
         "pyproj is not installed, so positions are taken for metres in the CRS "
-        f'"{shown(stated[0])}" as they are, and true north is unknown'
+        f'"{shown(stated[0])}" as they are, and true north is unknown '
+        "(pip install 'svprep[formats]')"
     )
     done = [_noted(p, (note,)) if name else p for p, name in zip(parsed, names, strict=True)]
     return done, Place(stated[0])

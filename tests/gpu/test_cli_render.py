@@ -428,7 +428,7 @@ def test_what_cannot_be_drawn_is_one_line(
     context: Context, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for options, says in (
-        ([*LIGHT, "--memory", "0.1k"], "the budget is 100. Raise it with --memory"),
+        ([*LIGHT, "--memory", "0.1k"], "the budget is 102. Raise it with --memory"),
         ([*LIGHT, "--size", "16385x1"], "a picture of 16385x1 pixels cannot be made"),
         ([*LIGHT, "--size", "999999x999999"], "1 to 16384 each way"),
         (["--light", "point:-1,1,2"], "exactly on a vertex"),

@@ -13,7 +13,8 @@ from pathlib import Path
 import h5py
 import pytest
 
-from svprep import cli, cli_build, pipeline
+from svprep import cli, pipeline
+from svprep.cli_options import memory_of
 from svprep.defects import Code
 from svprep.errors import InternalError
 
@@ -99,6 +100,7 @@ def test_damage_is_named_and_ends_in_1(capfd: pytest.CaptureFixture[str]) -> Non
         (["build", "--memory", "1Q", "x.obj"], 2, "not a size like 512M"),
         (["build", "--memory", "", "x.obj"], 2, "not a size like 512M"),
         (["build", "--memory", "63M", "x.obj"], 2, "give 64M or more"),
+        (["build", f"{'x' * 300}.obj", "-o", "a.svp.h5"], 1, "cannot be read: File name too long"),
         (["build", "gone.obj", "gone2.obj"], 1, "-o CACHE"),
         (["build", "gone.obj", "--report", "r.txt"], 2, ".json or .csv"),
         (["build", "gone.obj", "--report", "no/r.csv"], 1, 'no folder "'),
@@ -136,7 +138,7 @@ def test_one_line_on_standard_error(
     ],
 )
 def test_sizes_of_memory(text: str, n_bytes: int) -> None:
-    assert cli_build.memory_of(text) == n_bytes
+    assert memory_of(text) == n_bytes
 
 
 @pytest.mark.parametrize("given", ["zero", "0"])
@@ -170,6 +172,14 @@ def test_an_older_cache_is_used_unless_full_is_asked_for(
     said = capfd.readouterr().out
     assert "reused   1 of 1 objects, from the older cache; --full builds all again" in said
     assert "memory   at most" in said
+
+
+def test_a_build_says_that_it_held_more_than_it_was_to(capfd: pytest.CaptureFixture[str]) -> None:
+    model = str(CONFORMANCE / "clean_cube.obj")
+    for memory, is_more in (("64M", True), ("1T", False)):  # Python and NumPy take more than 64M
+        assert cli.run(["build", model, "-o", "a.svp.h5", "--memory", memory]) == 0
+        said = capfd.readouterr().out
+        assert ("MB were held, more than the 67 of --memory" in said) is is_more, said
 
 
 def test_leaving_at_once_loses_no_output() -> None:

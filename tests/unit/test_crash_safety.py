@@ -170,6 +170,30 @@ def test_killed_at_random_times(old: Path) -> None:
     assert names_in(old.parent) == [old.name]
 
 
+def write_until_interrupted(path: Path, ready: Event) -> None:
+    try:
+        write_for_ever(path, ready)
+    except KeyboardInterrupt:
+        os._exit(5)
+
+
+def test_interrupted_at_random_times(old: Path) -> None:
+    whole = [old.read_bytes()]
+    write_cache(NEW, old)
+    whole.append(old.read_bytes())
+    rng = random.Random(7)
+    for _ in range(24):
+        ready = CONTEXT.Event()
+        child = in_child(write_until_interrupted, old, ready)
+        assert ready.wait(60)
+        time.sleep(rng.uniform(0.0, 0.06))
+        assert child.pid is not None
+        os.kill(child.pid, signal.SIGINT)
+        assert finish(child) == 5
+        assert old.read_bytes() in whole
+        assert names_in(old.parent) == [old.name]
+
+
 def test_leftovers_of_other_caches_stay(old: Path) -> None:
     mine = old.with_name(f".{old.name}.tmp-12-0a1b2c3d")
     others = [

@@ -1,12 +1,16 @@
-"""A Ctrl-C that no one could take ends the program all the same."""
+"""A Ctrl-C that comes where no one can take it waits, or comes again; it is never lost."""
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
+
+from svprep.interrupts import interrupts_held_back
 
 ROOT = Path(__file__).resolve().parents[2]
 IN_A_CALLBACK = """
@@ -63,3 +67,54 @@ def test_what_else_no_one_could_take_is_printed() -> None:
     said, errors = _said("import ctypes\nctypes.CFUNCTYPE(None)(lambda: 1 / 0)()", "kept")
     assert said == "lost"
     assert "ZeroDivisionError" in errors
+
+
+def test_an_interrupt_held_back_comes_where_it_is_asked_for() -> None:
+    reached = []
+
+    def go() -> None:
+        with interrupts_held_back() as interrupt:
+            signal.raise_signal(signal.SIGINT)
+            reached.append("after it came")
+            interrupt()
+            reached.append("after it was asked for")
+
+    with pytest.raises(KeyboardInterrupt):
+        go()
+    assert reached == ["after it came"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_held_back_comes_at_the_end_and_once() -> None:
+    def go() -> None:
+        with interrupts_held_back():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        go()
+    with interrupts_held_back() as interrupt:
+        interrupt()
+
+
+def test_an_ignored_interrupt_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with interrupts_held_back() as interrupt:
+            signal.raise_signal(signal.SIGINT)
+            interrupt()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_other_threads_hold_nothing_back() -> None:
+    handlers = []
+
+    def look() -> None:
+        with interrupts_held_back():
+            handlers.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    thread.join()
+    assert handlers == [signal.default_int_handler]

@@ -248,7 +248,8 @@ def test_another_grid_tolerance_or_light_is_built_anew(tmp_path: Path) -> None:
     full = build([source], tmp_path / "f.svp.h5", lights=["dir:10,20", SUN])
     assert other.cache.content_digest == full.cache.content_digest
     assert build([source], cache).remarks == (
-        "2 lights are in the older cache only: name them again to keep them",
+        "2 lights of the older cache not taken over: name them with --light, here or "
+        "for svprep clamp",
     )
     # Ten times as wide: another step.
     written([*town(), box("far", (9000.0, 0.0))], source)
