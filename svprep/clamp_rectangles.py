@@ -102,18 +102,22 @@ def _in_views(low: F64, high: F64, pad: float, views: Sequence[int], is_caster: 
     """Return the rectangles of boxes from a lamp in some views, widened; depths are m.
 
     In a view whose axis is m, a box with ``a0 <= a <= a1`` and ``0 < m0 <= m <= m1`` lies
-    between ``min(a0 / m0, a0 / m1)`` and ``max(a1 / m0, a1 / m1)``.
+    between ``min(a0 / m0, a0 / m1)`` and ``max(a1 / m0, a1 / m1)``. A view sees no more of it
+    than where m is at least as large as the two other coordinates.
     """
+    # The least that each coordinate is, to either side.
+    aside = np.maximum(np.maximum(low, -high), 0.0) * (1.0 - 1e-5) - _SLACK * pad
     found = np.zeros((len(views), len(low), 5))
     for of_view, view in zip(found, views, strict=True):
         axis, is_negative = divmod(view, 2)
         m0, m1 = (-high[:, axis], -low[:, axis]) if is_negative else (low[:, axis], high[:, axis])
+        m0 = np.maximum(m0, np.maximum(aside[:, (axis + 1) % 3], aside[:, (axis + 2) % 3]))
         depth = m0 if is_caster else -m1
         of_view[:, 4] = depth - _SLACK * pad - 1e-5 * np.abs(depth)
         is_near = m0 <= 4.0 * _SLACK * pad
         least = np.where(is_near, 1.0, m0)
         wider = _SLACK * pad / least
-        is_behind = m1 < -_SLACK * pad
+        is_behind = (m1 < -_SLACK * pad) | (m0 > m1 + _SLACK * pad + 1e-5 * np.abs(m1))
         for k in range(2):
             a0, a1 = low[:, (axis + 1 + k) % 3], high[:, (axis + 1 + k) % 3]
             most = np.maximum(m1, least)

@@ -12,6 +12,7 @@ from svprep import clamp_changes
 from svprep import scene_tree as scene_tree_module
 from svprep.clamp import ClampCosts, clamp_changed, clamp_lights, joined
 from svprep.clamp_changes import PreviousClamp, SceneParts, TakenOver, taken_over
+from svprep.clamp_rectangles import _in_views, not_empty
 from svprep.errors import InputError
 from svprep.hilbert import hilbert_keys
 from svprep.light import parse_light
@@ -165,6 +166,15 @@ def check_changed(kind: str, seed: int) -> list[TakenOver]:
     kept = [one for one in found if one is not None]
     assert len(kept) >= 2 or kind == "farther"  # a lamp may see a change everywhere
     return kept
+
+
+@pytest.mark.parametrize("is_caster", [False, True])
+@pytest.mark.parametrize(("x1", "views"), [(50.0, [5]), (120.0, [0, 5])])
+def test_a_slab_below_a_lamp_is_in_views_that_see_it(
+    is_caster: bool, x1: float, views: list[int]
+) -> None:
+    low, high = np.array([[-50.0, -50.0, -91.0]]), np.array([[x1, 50.0, -90.0]])
+    assert not_empty(_in_views(low, high, 1e-3, range(6), is_caster)) == views
 
 
 def test_however_many_runs_probes_and_nodes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
