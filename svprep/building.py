@@ -101,15 +101,23 @@ def room_for(memory_bytes: int | None) -> Iterator[Room | None]:
         yield None
         return
     asked = os.environ.get("TMPDIR", "")
-    if asked and not os.path.isdir(asked):
+    if asked and not (os.path.isdir(asked) and os.access(asked, os.W_OK | os.X_OK)):
+        what = "takes no new files" if os.path.isdir(asked) else "is no folder"
         raise EnvironmentProblem(
-            f'TMPDIR is "{asked}", which is no folder: --memory needs one for what is not held. '
+            f'TMPDIR is "{asked}", which {what}: --memory needs one for what is not held. '
             "Make it, or name another"
         )
+    try:
+        temporary = tempfile.gettempdir()
+    except FileNotFoundError as error:
+        raise EnvironmentProblem(
+            f"--memory needs a folder for what is not held, and none takes new files ({error}). "
+            "Name one with TMPDIR"
+        ) from None
     faces = int(_TILES_SHARE * memory_bytes / (BYTES_PER_FACE * thread_count()))
     place: contextlib.AbstractContextManager[str]
     if os.name == "posix":  # the files have no names, and need no folder of their own
-        place = contextlib.nullcontext(tempfile.gettempdir())
+        place = contextlib.nullcontext(temporary)
     else:
         place = tempfile.TemporaryDirectory(prefix="svprep-")
     with place as folder:
@@ -261,7 +269,7 @@ def prepare_tiles(plan: Plan, clock: StageClock) -> Parts:
             for name, spent in made.seconds.items():
                 seconds[name] += spent
             clock.tell_tiles(TILE_STAGES)
-    clock.share(seconds, store.n_bytes)
+    clock.share(seconds)
     if plan.room is not None:
         return_free_memory()
     runs.update(store.runs())

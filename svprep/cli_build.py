@@ -26,7 +26,7 @@ from svprep.model import EdgeTable, Place
 from svprep.parallel import thread_count
 from svprep.process_memory import keep_free_memory, use_small_pages
 from svprep.stage_clock import StageRow
-from svprep.warm import load_without_compiler, second_compiler
+from svprep.warm import load_without_compiler, not_kept, second_compiler
 
 Tell = Callable[[str, int, int], None]
 
@@ -133,7 +133,11 @@ def build(
         "content_digest": result.cache.content_digest,
         **content,
         "reused_objects": result.reused,
-        "remarks": [*result.remarks, *_over_budget(result.stages, order.memory_bytes)],
+        "remarks": [
+            *result.remarks,
+            *_over_budget(result.stages, order.memory_bytes),
+            *sorted(set(not_kept)),
+        ],
         "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
         "stages": [_stage(row) for row in result.stages],
     }

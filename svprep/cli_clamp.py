@@ -15,6 +15,7 @@ from svprep.cache.reader import open_cache
 from svprep.clamp import ClampCosts
 from svprep.light import FORMS
 from svprep.model import ClampTable, Grid
+from svprep.warm import load_without_compiler
 
 _MOST_LISTED = 12
 """Lights that a summary for people lists; --json lists all."""
@@ -53,6 +54,7 @@ def add(
     if not specs:
         raise typer.BadParameter(f"name one or more lights with --light SPEC: {FORMS}")
     started = time.perf_counter()
+    load_without_compiler()
     done = pipeline.add_lights(
         cache, specs, costs, lambda i, of: tell(f"clamp, light {i} of {of}", i, of)
     )

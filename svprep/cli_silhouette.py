@@ -17,6 +17,7 @@ from svprep.errors import InputError
 from svprep.light import FORMS, Light, is_arc, is_sun, parse_light
 from svprep.silhouette import METHODS, VOLUMES, Silhouette, silhouette
 from svprep.silhouette.lines import LINES, silhouette_lines, write_lines
+from svprep.warm import load_without_compiler
 
 if TYPE_CHECKING:
     from svprep.model import I64
@@ -92,6 +93,7 @@ def answer(query: Query) -> dict[str, Any]:
     if query.output is not None:
         LINES.checked_path(query.output, [query.cache])
     started = time.perf_counter()
+    load_without_compiler()
     with open_cache(query.cache) as cache:
         if query.output is not None:
             LINES.checked_path(query.output, [s.path for s in cache.sources])

@@ -136,8 +136,10 @@ def build(
     target = resolve_target(path)  # a slip of -o is told before any work, not after
     # So is a slip in a light. Only a sun that leaves its place to the model has to wait.
     parse_lights([spec for spec in lights if not leaves_out_place(spec)])
-    clock = StageClock(on_stage)
     with room_for(memory_bytes) as room:
+        clock = StageClock(on_stage)
+        if room is not None:
+            clock.n_spilled = room.spill.n_bytes
         clock.start("load")
         use_older = not is_full and room is None
         plan = read_and_compare(inputs, config, target if use_older else None, room)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from svprep.tiles import StageHook
@@ -41,10 +41,13 @@ class StageClock:
     """Times the stages of a build, and tells which one begins."""
 
     on_stage: StageHook | None
+    n_spilled: Callable[[], int] = lambda: 0
+    """Returns the bytes so far of files that take the place of memory."""
     _rows: dict[str, _Row] = field(default_factory=dict)
     _name: str = ""
     _begun: float = 0.0
     _bytes: int = 0
+    _spilled_before: int = 0
     _told: set[str] = field(default_factory=set)
 
     def start(self, name: str) -> None:
@@ -63,16 +66,16 @@ class StageClock:
             if name not in self._told:
                 self._tell(name)
 
-    def share(self, seconds: Mapping[str, float], n_bytes: int) -> None:
+    def share(self, seconds: Mapping[str, float]) -> None:
         """End the stage, as several that ran side by side and took so long each in all.
 
-        The first one counts for what none of them took.
+        The first one counts for what none of them took, the last one for what was written.
         """
         elapsed = time.perf_counter() - self._begun
         total = sum(seconds.values())
         for i, (name, spent) in enumerate(seconds.items()):
             share = spent / total if total else float(i == 0)
-            self._add(name, share * elapsed, n_bytes if i == len(seconds) - 1 else 0)
+            self._add(name, share * elapsed, self._written() if i == len(seconds) - 1 else 0)
         self._name = ""
 
     def stop(self, n_triangles: int) -> tuple[StageRow, ...]:
@@ -91,8 +94,15 @@ class StageClock:
 
     def _end(self) -> None:
         if self._name:
-            self._add(self._name, time.perf_counter() - self._begun, self._bytes)
+            self._add(self._name, time.perf_counter() - self._begun, self._written())
             self._name = ""
+
+    def _written(self) -> int:
+        """Return the bytes that were written since a stage ended."""
+        n_spilled = self.n_spilled()
+        n_bytes = self._bytes + n_spilled - self._spilled_before
+        self._bytes, self._spilled_before = 0, n_spilled
+        return n_bytes
 
     def _add(self, name: str, seconds: float, n_bytes: int) -> None:
         """Count time and bytes for a stage, which may have some already."""

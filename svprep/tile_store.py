@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -16,8 +16,6 @@ Raw = NDArray[Any]
 
 class InMemory:
     """Tables of tiles, as they are."""
-
-    n_bytes: Final = 0
 
     def __init__(self) -> None:
         self._runs: dict[int, Run] = {}
@@ -42,7 +40,6 @@ class OnDisk:
         self._columns: dict[str, Column] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
         self._rows: dict[int, dict[str, tuple[int, int]]] = {}
-        self.n_bytes = 0
 
     def add(self, numbers: I64, arrays: dict[str, Raw]) -> None:
         """Write a tile's tables, of consecutive objects, behind those of the tiles before."""
@@ -56,7 +53,6 @@ class OnDisk:
             column = self._columns[path]
             rows[path] = len(column), len(column) + len(array)
             column.append(flat)
-            self.n_bytes += array.nbytes
         self._rows[int(numbers[0])] = rows
 
     def runs(self) -> dict[int, Run]:

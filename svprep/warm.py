@@ -113,11 +113,13 @@ constant arguments, sums of whole arrays. It takes a sixth of the time in front 
 _PR_SET_PDEATHSIG: Final = 1
 """Of prctl(2)."""
 _READ_ONLY = re.compile(r"R\((\w+),(\d)\)")
+not_kept: list[str] = []
+"""A line for each kernel that this process has compiled, and could not keep for the next one."""
 _LIGHTS: dict[str, dict[str, str]] = {"sun": SUN_SIGNATURES, "point": POINT_SIGNATURES}
 
 
 def load_without_compiler() -> None:
-    """Let Numba load compiled kernels without starting its compiler.
+    """Let Numba load compiled kernels without its compiler, and do without a place for new ones.
 
     For a process of our own: it holds for all that Numba loads there. What it has to
     compile starts the compiler, as ever.
@@ -125,8 +127,8 @@ def load_without_compiler() -> None:
     from numba.core.caching import Cache
     from numba.core.runtime.nrt import rtsys
 
-    if not hasattr(Cache, "_load_overload"):  # a Numba that is built differently
-        return
+    if not (hasattr(Cache, "_load_overload") and hasattr(Cache, "_save_overload")):
+        return  # a Numba that is built differently
 
     def load_overload(self: Cache, signature: object, target: object) -> object:
         rtsys.initialize(target)
@@ -138,7 +140,18 @@ def load_without_compiler() -> None:
                 break
         return found
 
-    Cache.load_overload = load_overload
+    def save_overload(self: Cache, signature: object, compiled: object) -> None:
+        try:
+            with self._guard_against_spurious_io_errors():
+                self._save_overload(signature, compiled)
+        except OSError as error:  # a full disk: what was compiled is there all the same
+            not_kept.append(
+                f"compiled kernels could not be kept in {self.cache_path} "
+                f"({error.strerror or error}), so the next run compiles them again: make room "
+                "there, or name another folder with NUMBA_CACHE_DIR"
+            )
+
+    Cache.load_overload, Cache.save_overload = load_overload, save_overload
 
 
 class Claims:

@@ -38,6 +38,15 @@ class Spill:
     """[B]: what a file may take that can only be read whole, before a remark says so."""
     remarks: list[str] = field(default_factory=list)
     """One line each on what took more. They are no notes of the model, which is the same."""
+    _sizes: list[int] = field(default_factory=list)
+
+    def count(self, n_bytes: int) -> None:
+        """Count bytes that are written, or room that is taken to be; on any thread."""
+        self._sizes.append(n_bytes)
+
+    def n_bytes(self) -> int:
+        """Return how many there have been."""
+        return sum(self._sizes)
 
 
 class Column:
@@ -102,6 +111,7 @@ def empty_table(dtype: DTypeLike, shape: tuple[int, ...], spill: Spill | None) -
                 os.posix_fallocate(file.fileno(), 0, n_bytes)
         except OSError as error:
             raise _no_room(spill, error) from None
+        spill.count(n_bytes)
         return _mapped(file, np.dtype(dtype), shape)
 
 
@@ -164,6 +174,7 @@ def _new_file(spill: Spill) -> BinaryIO:
 
 
 def _write(file: BinaryIO, rows: Array, spill: Spill) -> None:
+    spill.count(rows.nbytes)
     left = rows.reshape(-1).view(np.uint8).data
     try:
         while left:

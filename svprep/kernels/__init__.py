@@ -67,11 +67,14 @@ def _is_private(folder: Path) -> bool:
 def _temporary_cache_dir() -> Path:
     """Return a folder that only this user can write to, kept for the next run if possible."""
     user = os.getuid() if hasattr(os, "getuid") else "cache"
-    folder = Path(tempfile.gettempdir()) / f"svprep-numba-{user}"
+    temporary = Path(tempfile.gettempdir())
+    folder = temporary / f"svprep-numba-{user}"
     try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if _is_private(folder) and _is_writable(folder):
-            return folder
+        # Where no temporary folder is writable, that is the current one, which is kept clean.
+        if not temporary.samefile(os.curdir):
+            folder.mkdir(mode=0o700, exist_ok=True)
+            if _is_private(folder) and _is_writable(folder):
+                return folder
     except OSError:
         pass
     own = Path(tempfile.mkdtemp(prefix="svprep-numba-"))

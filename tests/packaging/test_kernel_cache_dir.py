@@ -68,6 +68,16 @@ def test_a_folder_that_somebody_else_could_fill_is_not_used(
     assert not list(usual.iterdir())
 
 
+def test_the_current_folder_is_left_clean_where_it_is_the_last_one(
+    places: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(places["tmp"])
+    removed: list[object] = []
+    monkeypatch.setattr(kernels.atexit, "register", lambda f, path, **options: removed.append(path))
+    assert [kernels.ensure_cache_dir(places["in_tree"])] == removed
+    assert not (places["tmp"] / f"svprep-numba-{os.getuid()}").exists()
+
+
 def test_without_any_place_the_error_says_what_to_do(
     places: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

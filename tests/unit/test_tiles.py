@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from svprep import building, older, pipeline
+from svprep.building import Room, room_for
 from svprep.cache.codec import object_datasets
 from svprep.cache.reader import Cache, open_cache
 from svprep.cache.runs import PER_OBJECT, Joined, whole_run
@@ -304,7 +306,9 @@ def test_with_little_memory_the_cache_is_the_same(path: Path, tmp_path: Path) ->
     done = built(path, tmp_path / "tiled.svp.h5", memory_bytes=1 << 18)
     assert done.cache.content_digest == expected.cache.content_digest
     assert done.cache.datasets == expected.cache.datasets
-    assert sum(row.bytes_written for row in done.stages) > done.cache.n_bytes
+    written = {row.name: row.bytes_written for row in done.stages}
+    assert written["write"] > done.cache.n_bytes
+    assert written["load"] > 0
 
 
 def test_an_object_over_the_budget_is_prepared_alone_and_said_so(
@@ -332,6 +336,34 @@ def test_a_temporary_folder_that_is_not_there(
     monkeypatch.setenv("TMPDIR", str(tmp_path / "none"))
     with pytest.raises(EnvironmentProblem, match="which is no folder"):
         built(CITY, tmp_path / "a.svp.h5", memory_bytes=1 << 26)
+
+
+def test_a_temporary_folder_that_takes_no_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("svprep.building.os.access", lambda path, mode: path != str(tmp_path))
+    with pytest.raises(EnvironmentProblem, match="which takes no new files"):
+        built(CITY, tmp_path / "a.svp.h5", memory_bytes=1 << 26)
+
+
+def test_what_goes_to_files_is_counted_to_the_byte(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms: list[Room] = []
+
+    @contextlib.contextmanager
+    def noted(memory_bytes: int | None) -> Iterator[Room | None]:
+        with room_for(memory_bytes) as room:
+            assert room is not None
+            rooms.append(room)
+            yield room
+
+    monkeypatch.setattr(pipeline, "room_for", noted)
+    done = built(CITY, tmp_path / "a.svp.h5", memory_bytes=1 << 18)
+    in_files = rooms[0].spill.n_bytes()
+    assert in_files > done.cache.n_bytes / 2
+    assert sum(row.bytes_written for row in done.stages) == done.cache.n_bytes + in_files
 
 
 def test_stages_are_told_in_order_and_accounted_for(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -10,7 +11,9 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from numba import njit
 from numba.core import typed_passes, untyped_passes
+from numba.core.caching import Cache
 
 from svprep import warm
 from svprep.kernels.rows import counting_order
@@ -162,3 +165,23 @@ def test_kernels_of_lights_are_compiled_for_such_lights_only() -> None:
     suns, points = set(warm.wanted(["sun"])), set(warm.wanted(["point"]))
     assert suns - points == set(warm.SUN_SIGNATURES) - set(warm.POINT_SIGNATURES)
     assert "point_clamping.clamp_casters_in_views" in points - suns
+
+
+def test_kernels_that_cannot_be_kept_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Cache, "load_overload", Cache.load_overload)  # put back afterwards
+    monkeypatch.setattr(Cache, "save_overload", Cache.save_overload)
+    monkeypatch.setattr(warm, "not_kept", [])
+    warm.load_without_compiler()
+
+    def full(self: Cache, signature: object, compiled: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Cache, "_save_overload", full)
+
+    @njit(cache=True)  # type: ignore[untyped-decorator]  # Numba has no types
+    def twice(x: int) -> int:
+        return 2 * x
+
+    assert twice(4) == 8
+    (line,) = warm.not_kept
+    assert "(No space left on device), so the next run compiles them again" in line
