@@ -100,6 +100,7 @@ def _read(cache: Cache) -> Older:
         clamp=cache.clamp,
     )
     check_tables(older.mesh, older.components, older.scene)
+    check_starts("objects/vertex_start", older.mesh.object_vertex_start, len(older.mesh.positions))
     check_starts("lights/segment_start", older.clamp.light_start, len(older.clamp.depths))
     for start, size in zip(
         older.clamp.segment_start, np.diff(older.clamp.light_start).tolist(), strict=True

@@ -262,7 +262,12 @@ def test_another_grid_tolerance_or_light_is_built_anew(tmp_path: Path) -> None:
 def test_a_cache_that_contradicts_itself_is_passed_over(tmp_path: Path) -> None:
     source, cache = written(town(), tmp_path / "town.obj"), tmp_path / "town.svp.h5"
     expected = built(source, cache).cache.content_digest
-    for path in ("scene/face", "lights/segment_start", "clamp/segment_start"):
+    for path in (
+        "scene/face",
+        "lights/segment_start",
+        "clamp/segment_start",
+        "objects/vertex_start",
+    ):
 
         def change(opened: Cache, path: str = path) -> dict[str, np.ndarray]:
             array = opened.raw(path).copy()
