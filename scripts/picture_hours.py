@@ -29,11 +29,21 @@ from svprep.rays import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
 SUPERSAMPLING = 2
+ONE_PLACE_M = 0.005
 ARC = "sun:48.2,16.37,2026-03-20/06:00/18:30/15m[Europe/Vienna]"
 
 
+def normals_of(corners: np.ndarray) -> np.ndarray:
+    """Return the normals of triangles ``(n, 3, 3)`` [m], twice as long as their area."""
+    corners = corners.astype(np.float64)
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
 def seen_points(cache: Cache, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pixels ``(n,)`` that show a face, the face and the point of each."""
+    """Return the pixels ``(n,)`` that show a face, the face and the point of each.
+
+    Of faces in one place, the one that looks towards the eye is seen.
+    """
     affine = view.image_from_cache
     back = np.linalg.inv(affine[:, :3])
     forward = back[:, 2]
@@ -42,8 +52,13 @@ def seen_points(cache: Cache, view: View) -> tuple[np.ndarray, np.ndarray, np.nd
     at = np.stack([x + 0.5, y + 0.5, np.full(len(x), -reach)], axis=1)
     origins = (at - affine[:, 3]) @ back.T
     directions = np.broadcast_to(forward.astype(np.float32), origins.shape)
-    scene = Scene(cache.mesh.positions, cache.mesh.faces)
-    face, distance_m = scene.first_hit(origins.astype(np.float32), np.array(directions))
+    positions, faces = cache.mesh.positions, cache.mesh.faces
+    rays = origins.astype(np.float32), np.array(directions)
+    face, distance_m = Scene(positions, faces).first_hit(*rays)
+    towards_eye = np.flatnonzero(normals_of(positions[faces]) @ forward < 0.0)
+    front, front_m = Scene(positions, faces[towards_eye]).first_hit(*rays)
+    is_front = (front >= 0) & (face >= 0) & (front_m <= distance_m + ONE_PLACE_M)
+    face[is_front] = towards_eye[front[is_front]]
     pixel = np.flatnonzero(face >= 0)
     point = origins[pixel] + distance_m[pixel, None] * forward
     return pixel, face[pixel], point
@@ -57,8 +72,7 @@ def draw(cache: Cache, arc: Arc, view: View) -> Image.Image:
     picture = np.empty((view.width_px * view.height_px, 3), np.uint8)
     picture[:] = SKY
     # A little darker where a face looks away from the south-west, so that edges are seen.
-    corners = cache.mesh.positions[cache.mesh.faces[face]].astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals_of(cache.mesh.positions[cache.mesh.faces[face]])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     towards_eye = -np.linalg.inv(view.image_from_cache[:, :3])[:, 2]
     bright = 0.86 + 0.14 * np.abs(normal @ towards_eye) / np.linalg.norm(towards_eye)
