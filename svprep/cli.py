@@ -545,7 +545,7 @@ def run(arguments: list[str] | None = None) -> int:
     except _UsageError as usage:
         text = usage.format_message()  # type: ignore[attr-defined]
         context = getattr(usage, "ctx", None)
-        command = context.command_path if context is not None else "svprep"
+        command = context.command_path if context is not None else _command_of(arguments)
         complain(f"{text} ({command} --help lists the options)")
         return 2
     except SvprepError as error:
@@ -565,6 +565,13 @@ def run(arguments: list[str] | None = None) -> int:
         return 1
     except Exception as bug:
         return report_bug(bug)
+
+
+def _command_of(arguments: list[str] | None) -> str:
+    """Return what the user called, ``svprep`` with the name of a command if there is one."""
+    given = sys.argv[1:] if arguments is None else arguments
+    known = getattr(typer.main.get_command(app), "commands", {})
+    return f"svprep {given[0]}" if given and given[0] in known else "svprep"
 
 
 def _cache_not_model(path: Path) -> Path:

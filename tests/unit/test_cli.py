@@ -107,6 +107,7 @@ def test_damage_is_named_and_ends_in_1(capfd: pytest.CaptureFixture[str]) -> Non
         (["build", "gone.obj", "-o", "a.json", "--report", "a.json"], 1, "the cache itself"),
         (["build", "gone.json", "-o", "a.h5", "--report", "./gone.json"], 1, "an input"),
         (["info"], 2, "CACHE"),
+        (["validate", "--explain"], 2, "(svprep validate --help lists the options)"),
         (["info", "gone.svp.h5"], 1, "gone.svp.h5"),
         (["info", "model.obj"], 1, "svprep build model.obj"),
         (["validate"], 2, "--explain"),
