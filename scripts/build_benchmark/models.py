@@ -14,6 +14,8 @@ BUILDINGS: Final = (
 )  # fmt: skip
 """Kinds of the generated city's objects; the rest are trees, terrain and street furniture."""
 MOVE_M: Final = 0.25
+LAMP_M: Final = (100.3, 60.7, 80.1)
+"""East, north and up of a building's vertex."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,19 @@ def find_building(path: Path) -> Building:
     buildings = [each for each in found if each.name.rpartition("_")[0] in BUILDINGS] or found
     middle = found[len(found) // 2].first_line
     return min(buildings, key=lambda each: abs(each.first_line - middle))
+
+
+def lamp_near(path: Path, building: Building) -> str:
+    """Return a light for ``--light``: a lamp `LAMP_M` from the vertex that is moved."""
+    n_vertices = 0
+    with path.open("rb") as source:
+        for line in source:
+            if line.startswith(b"v "):
+                if n_vertices == building.vertex:
+                    at = (float(x) + m for x, m in zip(line.split()[1:4], LAMP_M, strict=True))
+                    return "point:" + ",".join(f"{x:.3f}" for x in at)
+                n_vertices += 1
+    raise CommandFailed(f"{path.name}: it has no vertex {building.vertex + 1}")
 
 
 def write_edited(path: Path, building: Building, target: Path) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from build_benchmark.models import Building, make_city, write_edited, write_without
+from build_benchmark.models import Building, lamp_near, make_city, write_edited, write_without
 from build_benchmark.processes import (
     Built,
     CommandFailed,
@@ -58,6 +58,7 @@ UNEDITED, EDITED, REMOVED, UNLIT = (
     "a building removed",
     "the light dropped",
 )
+LAMP_FULL, LAMP_EDITED = "svprep build, a lamp", "a building edited, a lamp"
 EMPTY, FILLED = "no kernel compiled", "the same kernels, compiled"
 LARGE, LITTLE_MEMORY = "ten times the city", f"ten times the city, --memory {MEMORY}"
 SVPREP_HELP, PLAIN_TYPER, RICH_TYPER = "svprep --help", "bare Typer, plain", "bare Typer, Rich"
@@ -170,6 +171,7 @@ class Bench:
                 (UNLIT, "city, no light", self.city, ()),
             ]
             self._over_older(kinds, Path(folder) / "older.svp.h5")
+            self._with_lamp(edited, ["--light", lamp_near(self.city, building)])
 
     def _over_older(self, kinds: Sequence[Kind], older: Path) -> None:
         """Build each kind of model over a copy of the cache `older`, which is made first."""
@@ -183,6 +185,15 @@ class Bench:
             for name, content, model, light in kinds:
                 shutil.copyfile(older, self._cache)
                 self._build(INCREMENTAL, name, turn, content, model, self._cache, light)
+
+    def _with_lamp(self, edited: Path, lamp: Sequence[str]) -> None:
+        """Build the city with a lamp whole, and a building edited over what that made."""
+        whole, cache = ["--full", *lamp], self._cache
+        name = f"{FULL}, {LAMP_EDITED}"
+        self._build(INCREMENTAL, name, -1, "edited, lamp", edited, cache, whole)
+        for turn in range(-1, self.n_rounds):
+            self._build(INCREMENTAL, LAMP_FULL, turn, "city, lamp", self.city, cache, whole)
+            self._build(INCREMENTAL, LAMP_EDITED, turn, "edited, lamp", edited, cache, lamp)
 
     def region(self, objects: int) -> None:
         """Time ten times the city, whole and with little memory, after the small one."""

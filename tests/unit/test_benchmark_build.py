@@ -140,12 +140,23 @@ def bench(script: ModuleType, city: Path, monkeypatch: pytest.MonkeyPatch) -> An
 
 
 def _check_incremental(rows: Sequence[Any]) -> None:
-    from build_benchmark.rounds import EDITED, FULL, REMOVED, UNEDITED, UNLIT
+    from build_benchmark.rounds import (
+        EDITED,
+        FULL,
+        LAMP_EDITED,
+        LAMP_FULL,
+        REMOVED,
+        UNEDITED,
+        UNLIT,
+    )  # fmt: skip
 
     reused = {row.name: row.built.reused for row in rows if row.turn == 0}
-    assert reused == {FULL: 0, UNEDITED: 30, EDITED: 29, REMOVED: 29, UNLIT: 30}
+    assert reused == {FULL: 0, UNEDITED: 30, EDITED: 29, REMOVED: 29, UNLIT: 30} | {
+        LAMP_FULL: 0,
+        LAMP_EDITED: 29,
+    }
     assert [row.turn for row in rows if row.name == EDITED] == [-1, 0]
-    assert len({row.built.content_digest for row in rows}) == 4
+    assert len({row.built.content_digest for row in rows}) == 6
 
 
 def test_wrong_caches_end_the_run(script: ModuleType, tmp_path: Path) -> None:
