@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import typer
 
-from svprep import cli_clamp, pipeline, report
+from svprep import cli_clamp, pipeline, report, warm
 from svprep.cache.reader import Cache, open_cache
 from svprep.clamp import ClampCosts
 from svprep.cli_messages import crs_name
@@ -26,7 +26,6 @@ from svprep.model import EdgeTable, Place
 from svprep.parallel import thread_count
 from svprep.process_memory import keep_free_memory, use_small_pages
 from svprep.stage_clock import StageRow
-from svprep.warm import load_without_compiler, not_kept, second_compiler
 
 Tell = Callable[[str, int, int], None]
 
@@ -107,12 +106,12 @@ def build(
         cache = order.output or pipeline.default_cache_path(order.inputs)
         report.REPORT.checked_path(order.report, [*expanded(order.inputs).paths, cache])
     thread_count()  # a slip in SVPREP_THREADS is told before any work
-    load_without_compiler()
+    warm.load_without_compiler()
     if order.memory_bytes is None:
         keep_free_memory()
     if _is_small(order.inputs):
         use_small_pages()
-    with second_compiler(order.lights), progress() as tell:
+    with warm.second_compiler(order.lights), progress() as tell:
         result = pipeline.build(
             order.inputs,
             order.output,
@@ -136,7 +135,7 @@ def build(
         "remarks": [
             *result.remarks,
             *_over_budget(result.stages, order.memory_bytes),
-            *sorted(set(not_kept)),
+            *warm.remarks(),
         ],
         "seconds": {name: round(s, 4) for name, s in result.seconds.items()},
         "stages": [_stage(row) for row in result.stages],

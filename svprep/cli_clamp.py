@@ -10,12 +10,11 @@ from typing import Any
 
 import typer
 
-from svprep import pipeline
+from svprep import pipeline, warm
 from svprep.cache.reader import open_cache
 from svprep.clamp import ClampCosts
 from svprep.light import FORMS
 from svprep.model import ClampTable, Grid
-from svprep.warm import load_without_compiler
 
 _MOST_LISTED = 12
 """Lights that a summary for people lists; --json lists all."""
@@ -54,7 +53,7 @@ def add(
     if not specs:
         raise typer.BadParameter(f"name one or more lights with --light SPEC: {FORMS}")
     started = time.perf_counter()
-    load_without_compiler()
+    warm.load_without_compiler()
     done = pipeline.add_lights(
         cache, specs, costs, lambda i, of: tell(f"clamp, light {i} of {of}", i, of)
     )
@@ -73,6 +72,7 @@ def add(
         "new_lights": [listed[i] for i in done.added],
         "lights": len(listed),
         "lights_bytes": sum(light["n_bytes"] for light in listed),
+        "remarks": warm.remarks(),
     }
 
 
@@ -127,6 +127,7 @@ def add_lines(summary: dict[str, Any]) -> list[str]:
         f"lights   {', '.join(parts)}; it holds {summary['lights']} now, "
         f"{summary['lights_bytes']:,} bytes of them",
         *light_lines(summary["new_lights"]),
+        *(f"remark   {remark}" for remark in summary["remarks"]),
         f"time     {summary['seconds']:.2f} s",
     ]
 

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import typer
 
+from svprep import warm
 from svprep.cache.reader import Cache, open_cache
 from svprep.errors import InputError
 from svprep.light import FORMS, Light, is_arc, is_sun, parse_light
 from svprep.silhouette import METHODS, VOLUMES, Silhouette, silhouette
 from svprep.silhouette.lines import LINES, silhouette_lines, write_lines
-from svprep.warm import load_without_compiler
 
 if TYPE_CHECKING:
     from svprep.model import I64
@@ -93,7 +93,7 @@ def answer(query: Query) -> dict[str, Any]:
     if query.output is not None:
         LINES.checked_path(query.output, [query.cache])
     started = time.perf_counter()
-    load_without_compiler()
+    warm.load_without_compiler()
     with open_cache(query.cache) as cache:
         if query.output is not None:
             LINES.checked_path(query.output, [s.path for s in cache.sources])
@@ -178,6 +178,7 @@ def _summary(query: Query, light: Light, cache: Cache, found: Silhouette) -> dic
         "edge_records": cache.n_edges,
         "edges_visited": found.work.n_edges,
         "nodes_tested": found.work.n_nodes,
+        "remarks": warm.remarks(),
     }
     if query.object_names:
         begin, end = found.object_start[:-1].tolist(), found.object_start[1:].tolist()
@@ -218,4 +219,4 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
             f"lines    {summary['output']} ({summary['edges']:,} lines, "
             f"{summary['output_vertices']:,} vertices)"
         )
-    return lines
+    return lines + [f"remark   {remark}" for remark in summary["remarks"]]

@@ -113,8 +113,7 @@ constant arguments, sums of whole arrays. It takes a sixth of the time in front 
 _PR_SET_PDEATHSIG: Final = 1
 """Of prctl(2)."""
 _READ_ONLY = re.compile(r"R\((\w+),(\d)\)")
-not_kept: list[str] = []
-"""A line for each kernel that this process has compiled, and could not keep for the next one."""
+_not_kept: set[str] = set()
 _LIGHTS: dict[str, dict[str, str]] = {"sun": SUN_SIGNATURES, "point": POINT_SIGNATURES}
 
 
@@ -145,13 +144,18 @@ def load_without_compiler() -> None:
             with self._guard_against_spurious_io_errors():
                 self._save_overload(signature, compiled)
         except OSError as error:  # a full disk: what was compiled is there all the same
-            not_kept.append(
+            _not_kept.add(
                 f"compiled kernels could not be kept in {self.cache_path} "
                 f"({error.strerror or error}), so the next run compiles them again: make room "
                 "there, or name another folder with NUMBA_CACHE_DIR"
             )
 
     Cache.load_overload, Cache.save_overload = load_overload, save_overload
+
+
+def remarks() -> list[str]:
+    """Return a remark if kernels that this process has compiled could not be kept."""
+    return sorted(_not_kept)
 
 
 class Claims:

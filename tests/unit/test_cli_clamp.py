@@ -71,7 +71,7 @@ def test_clamp_tells_what_it_added(capfd: pytest.CaptureFixture[str]) -> None:
     done = told(capfd, "clamp", "city.svp.h5", *lights(SUN, LAMP, SUN))
     assert set(done) == {
         "cache", "n_bytes", "content_digest", "added", "replaced", "already_there", "seconds",
-        "new_lights", "lights", "lights_bytes",
+        "new_lights", "lights", "lights_bytes", "remarks",
     }  # fmt: skip
     assert done["cache"] == "city.svp.h5"
     assert done["n_bytes"] == Path("city.svp.h5").stat().st_size

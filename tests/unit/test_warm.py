@@ -170,7 +170,7 @@ def test_kernels_of_lights_are_compiled_for_such_lights_only() -> None:
 def test_kernels_that_cannot_be_kept_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Cache, "load_overload", Cache.load_overload)  # put back afterwards
     monkeypatch.setattr(Cache, "save_overload", Cache.save_overload)
-    monkeypatch.setattr(warm, "not_kept", [])
+    monkeypatch.setattr(warm, "_not_kept", set())
     warm.load_without_compiler()
 
     def full(self: Cache, signature: object, compiled: object) -> None:
@@ -183,5 +183,5 @@ def test_kernels_that_cannot_be_kept_are_told(monkeypatch: pytest.MonkeyPatch) -
         return 2 * x
 
     assert twice(4) == 8
-    (line,) = warm.not_kept
+    (line,) = warm.remarks()
     assert "(No space left on device), so the next run compiles them again" in line
