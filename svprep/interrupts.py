@@ -24,7 +24,7 @@ _SOON_S: Final = 0.01
 
 @contextlib.contextmanager
 def interrupts_held_back() -> Iterator[Callable[[], None]]:
-    """Have a Ctrl-C wait until the block ends, or until it calls what it is given.
+    """Have a Ctrl-C wait until the block ends, in any way, or until it calls what it is given.
 
     Nothing is changed on another than the main thread, and where Ctrl-C is ignored or ends
     the process at once.
@@ -46,7 +46,7 @@ def interrupts_held_back() -> Iterator[Callable[[], None]]:
         yield interrupt
     finally:
         signal.signal(signal.SIGINT, before)
-    interrupt()
+        interrupt()
 
 
 def keep_interrupts() -> None:
@@ -62,9 +62,23 @@ def _told(lost: UnraisableHookArgs) -> None:
     if not issubclass(lost.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return
-    again = threading.Timer(_SOON_S, _interrupt)  # now, it would be lost at the same place
-    again.daemon = True
-    again.start()
+    with _unheard():
+        again = threading.Timer(_SOON_S, _interrupt)  # now, it would be lost at the same place
+        again.daemon = True
+        again.start()
+
+
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Have another Ctrl-C wait, which would end the block half done."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _interrupt() -> None:

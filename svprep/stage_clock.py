@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from svprep.tiles import StageHook
 
@@ -117,6 +119,10 @@ class StageClock:
 
 def _peak_mb() -> float | None:
     """Return the most memory that this process has held so far [MB], None if that is unknown."""
+    with contextlib.suppress(OSError, IndexError):
+        # Of this program alone; what `getrusage` tells may be of the one that called it.
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
     try:
         import resource
     except ImportError:  # not on Windows

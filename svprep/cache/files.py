@@ -142,27 +142,31 @@ def exclusive_lock(target: Path, wait_s: float = 0.0) -> Iterator[None]:
     """
     lock_path = target.with_name(f".{target.name}.lock")
     deadline = time.monotonic() + wait_s
+    fd = None
     try:
-        while (fd := _try_lock(lock_path)) is None:
-            if time.monotonic() >= deadline:
-                raise CacheError(
-                    f"{target}: {_holder(lock_path)} is writing it. Wait for it to end, or write "
-                    "to another name"
-                )
-            time.sleep(LOCK_POLL_S)
-    except OSError as error:
-        raise problem_of(error, target) from error
-    try:
+        try:
+            with interrupts_held_back() as interrupt:
+                while (fd := _try_lock(lock_path)) is None:
+                    if time.monotonic() >= deadline:
+                        raise CacheError(
+                            f"{target}: {_holder(lock_path)} is writing it. Wait for it to end, or "
+                            "write to another name"
+                        )
+                    time.sleep(LOCK_POLL_S)
+                    interrupt()
+        except OSError as error:
+            raise problem_of(error, target) from error
         # For the message to others only: on a full disk the lock holds without it.
         with contextlib.suppress(OSError):
             os.ftruncate(fd, 0)
             os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
         yield
     finally:
-        with interrupts_held_back():
-            with contextlib.suppress(OSError):
-                lock_path.unlink()
-            os.close(fd)
+        if fd is not None:
+            with interrupts_held_back():
+                with contextlib.suppress(OSError):
+                    lock_path.unlink()
+                os.close(fd)
 
 
 def _try_lock(lock_path: Path) -> int | None:

@@ -64,14 +64,22 @@ def _is_private(folder: Path) -> bool:
     )
 
 
+def _is_last_resort(temporary: Path) -> bool:
+    """Whether `tempfile` takes the current folder because no temporary one is writable."""
+    places = [os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")]
+    places += ["/tmp", "/var/tmp", "/usr/tmp"]
+    return temporary.samefile(os.curdir) and not any(
+        place and os.path.isdir(place) and temporary.samefile(place) for place in places
+    )
+
+
 def _temporary_cache_dir() -> Path:
     """Return a folder that only this user can write to, kept for the next run if possible."""
     user = os.getuid() if hasattr(os, "getuid") else "cache"
     temporary = Path(tempfile.gettempdir())
     folder = temporary / f"svprep-numba-{user}"
     try:
-        # Where no temporary folder is writable, that is the current one, which is kept clean.
-        if not temporary.samefile(os.curdir):
+        if not _is_last_resort(temporary):
             folder.mkdir(mode=0o700, exist_ok=True)
             if _is_private(folder) and _is_writable(folder):
                 return folder

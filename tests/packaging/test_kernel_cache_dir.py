@@ -72,10 +72,14 @@ def test_the_current_folder_is_left_clean_where_it_is_the_last_one(
     places: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(places["tmp"])
+    usual = places["tmp"] / f"svprep-numba-{os.getuid()}"
     removed: list[object] = []
     monkeypatch.setattr(kernels.atexit, "register", lambda f, path, **options: removed.append(path))
     assert [kernels.ensure_cache_dir(places["in_tree"])] == removed
-    assert not (places["tmp"] / f"svprep-numba-{os.getuid()}").exists()
+    assert not usual.exists()
+    monkeypatch.setenv("TMPDIR", str(places["tmp"]))  # one that was named is not the last one
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(places["given"] / "cache"))
+    assert kernels.ensure_cache_dir(places["in_tree"]) == usual
 
 
 def test_without_any_place_the_error_says_what_to_do(

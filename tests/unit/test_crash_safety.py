@@ -25,6 +25,7 @@ from svprep.cache.reader import Cache, open_cache
 from svprep.cache.verify import verify
 from svprep.cache.writer import WRITE_POINTS, rewrite_cache, write_cache
 from svprep.errors import CacheError, EnvironmentProblem, SvprepError
+from svprep.interrupts import keep_interrupts
 from tests.unit.cache_samples import assert_same, no_lights, strip_and_tetrahedron
 
 OLD = strip_and_tetrahedron()
@@ -171,6 +172,8 @@ def test_killed_at_random_times(old: Path) -> None:
 
 
 def write_until_interrupted(path: Path, ready: Event) -> None:
+    keep_interrupts()  # as the command line does
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         write_for_ever(path, ready)
     except KeyboardInterrupt:

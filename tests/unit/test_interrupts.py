@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,7 +29,8 @@ last = Last()
 del last
 """
 WAITED = """
-import sys, threading, time
+import signal, sys, threading, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from svprep.interrupts import keep_interrupts
 if sys.argv[1:] == ["kept"]:
     keep_interrupts()
@@ -39,6 +42,14 @@ try:
 except KeyboardInterrupt:
     print("heard", time.monotonic() - began < 1.0)
 """
+
+
+@pytest.fixture(autouse=True)
+def interrupts_as_in_a_terminal() -> Iterator[None]:
+    """Have Ctrl-C heard, which a shell's jobs in the background ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def _said(code: str, *arguments: str) -> tuple[str, str]:
@@ -95,6 +106,16 @@ def test_an_interrupt_held_back_comes_at_the_end_and_once() -> None:
         go()
     with interrupts_held_back() as interrupt:
         interrupt()
+
+
+def test_an_interrupt_held_back_comes_before_an_error() -> None:
+    def go() -> None:
+        with interrupts_held_back():
+            signal.raise_signal(signal.SIGINT)
+            raise OSError(errno.ENOSPC, "full")
+
+    with pytest.raises(KeyboardInterrupt):
+        go()
 
 
 def test_an_ignored_interrupt_stays_ignored() -> None:
