@@ -10,16 +10,20 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-_SOON_S: Final = 0.01
+_ONE_S: Final = 0.05
+"""Signals that come so soon after another one are the same Ctrl-C, passed on by a wrapper."""
+_AGAIN_S: Final = 0.06
 
 
 @contextlib.contextmanager
@@ -50,11 +54,26 @@ def interrupts_held_back() -> Iterator[Callable[[], None]]:
 
 
 def keep_interrupts() -> None:
-    """Have a Ctrl-C that no one could take come again, until someone can.
+    """Have a Ctrl-C that no one could take come again, until someone can; and come once.
 
-    For a process of our own: it takes `sys.unraisablehook`.
+    For a process of our own: it takes `sys.unraisablehook`, and the signal.
     """
     sys.unraisablehook = _told
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _Once())
+
+
+class _Once:
+    """Raises KeyboardInterrupt, but not for `_ONE_S` after it did: `_told` would be cut short."""
+
+    def __init__(self) -> None:
+        self._last_s = -math.inf
+
+    def __call__(self, number: int, frame: object) -> None:
+        now_s = time.monotonic()
+        if now_s - self._last_s >= _ONE_S:
+            self._last_s = now_s
+            raise KeyboardInterrupt
 
 
 def _told(lost: UnraisableHookArgs) -> None:
@@ -62,23 +81,9 @@ def _told(lost: UnraisableHookArgs) -> None:
     if not issubclass(lost.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return
-    with _unheard():
-        again = threading.Timer(_SOON_S, _interrupt)  # now, it would be lost at the same place
-        again.daemon = True
-        again.start()
-
-
-@contextlib.contextmanager
-def _unheard() -> Iterator[None]:
-    """Have another Ctrl-C wait, which would end the block half done."""
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    again = threading.Timer(_AGAIN_S, _interrupt)  # now, it would be lost at the same place
+    again.daemon = True
+    again.start()
 
 
 def _interrupt() -> None:

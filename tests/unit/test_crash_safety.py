@@ -172,8 +172,8 @@ def test_killed_at_random_times(old: Path) -> None:
 
 
 def write_until_interrupted(path: Path, ready: Event) -> None:
-    keep_interrupts()  # as the command line does
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    keep_interrupts()  # as the command line does
     try:
         write_for_ever(path, ready)
     except KeyboardInterrupt:

@@ -68,6 +68,11 @@ def test_an_interrupt_that_no_one_could_take_comes_again(code: str) -> None:
     assert _said(code, "kept") == ("heard True", "")
 
 
+def test_two_signals_at_once_are_one() -> None:
+    twice = IN_A_CALLBACK.replace("call()", "call(); signal.raise_signal(signal.SIGINT)")
+    assert _said(twice, "kept") == ("heard True", "")
+
+
 def test_python_alone_loses_it() -> None:
     said, errors = _said(IN_A_CALLBACK)
     assert said == "lost"
