@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 import svprep
-from picture_silhouette import SAMPLE, SKY, View, parallel_view
+from picture_silhouette import SAMPLE, SKY, View, parallel_view, unit_normals
 from svprep.cache.reader import Cache
 from svprep.errors import InputError, SvprepError
 from svprep.hours import trace_points
@@ -31,12 +31,6 @@ ROOT = Path(__file__).resolve().parents[1]
 SUPERSAMPLING = 2
 ONE_PLACE_M = 0.005
 ARC = "sun:48.2,16.37,2026-03-20/06:00/18:30/15m[Europe/Vienna]"
-
-
-def normals_of(corners: np.ndarray) -> np.ndarray:
-    """Return the normals of triangles ``(n, 3, 3)`` [m], twice as long as their area."""
-    corners = corners.astype(np.float64)
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def seen_points(cache: Cache, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -55,7 +49,7 @@ def seen_points(cache: Cache, view: View) -> tuple[np.ndarray, np.ndarray, np.nd
     positions, faces = cache.mesh.positions, cache.mesh.faces
     rays = origins.astype(np.float32), np.array(directions)
     face, distance_m = Scene(positions, faces).first_hit(*rays)
-    towards_eye = np.flatnonzero(normals_of(positions[faces]) @ forward < 0.0)
+    towards_eye = np.flatnonzero(unit_normals(positions[faces]) @ forward < 0.0)
     front, front_m = Scene(positions, faces[towards_eye]).first_hit(*rays)
     is_front = (front >= 0) & (face >= 0) & (front_m <= distance_m + ONE_PLACE_M)
     face[is_front] = towards_eye[front[is_front]]
@@ -72,8 +66,7 @@ def draw(cache: Cache, arc: Arc, view: View) -> Image.Image:
     picture = np.empty((view.width_px * view.height_px, 3), np.uint8)
     picture[:] = SKY
     # A little darker where a face looks away from the south-west, so that edges are seen.
-    normal = normals_of(cache.mesh.positions[cache.mesh.faces[face]])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    normal = unit_normals(cache.mesh.positions[cache.mesh.faces[face]])
     towards_eye = -np.linalg.inv(view.image_from_cache[:, :3])[:, 2]
     bright = 0.86 + 0.14 * np.abs(normal @ towards_eye) / np.linalg.norm(towards_eye)
     picture[pixel] = (of_steps[hours.total_steps] * bright[:, None]).astype(np.uint8)

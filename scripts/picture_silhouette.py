@@ -119,6 +119,13 @@ def sunlit_pixels(
     return lit
 
 
+def unit_normals(corners: np.ndarray) -> np.ndarray:
+    """Return the normals of triangles ``(n, 3, 3)``; zero where there is no area."""
+    corners = corners.astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+
+
 def shade(
     view: View,
     sun: View,
@@ -134,8 +141,7 @@ def shade(
     """
     depth, nearest = draw_depth(view, corners)
     lit = sunlit_pixels(view, depth, sun, corners, bias_m=0.12)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    normal = unit_normals(corners)
     back = -view.image_from_cache[2, :3]
     # The side that is seen: its normal looks to the eye.
     seen = normal * np.where(normal @ back < 0.0, -1.0, 1.0)[:, None]

@@ -143,7 +143,7 @@ def build(
 
 
 def _over_budget(stages: Sequence[StageRow], memory_bytes: int | None) -> list[str]:
-    """Return a remark if more was held than ``--memory`` says, which has no room for less."""
+    """Return a remark if more was held than ``--memory`` asks for."""
     peak_mb = max((row.peak_mb or 0.0 for row in stages), default=0.0)
     if memory_bytes is None or peak_mb * 1e6 <= memory_bytes * _ABOUT:
         return []

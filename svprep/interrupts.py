@@ -34,17 +34,17 @@ def interrupts_held_back() -> Iterator[Callable[[], None]]:
     the process at once.
     """
     before = signal.getsignal(signal.SIGINT)
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
     came: list[Any] = []
 
     def interrupt() -> None:
-        if came and callable(before):
+        if came:
             frame = came.pop()
             came.clear()
             before(signal.SIGINT, frame)
 
-    if not callable(before) or threading.current_thread() is not threading.main_thread():
-        yield interrupt
-        return
     signal.signal(signal.SIGINT, lambda number, frame: came.append(frame))
     try:
         yield interrupt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -78,27 +79,18 @@ def find_building(path: Path) -> Building:
 
 def lamp_near(path: Path, building: Building) -> str:
     """Return a light for ``--light``: a lamp `LAMP_M` from the vertex that is moved."""
-    n_vertices = 0
-    with path.open("rb") as source:
-        for line in source:
-            if line.startswith(b"v "):
-                if n_vertices == building.vertex:
-                    at = (float(x) + m for x, m in zip(line.split()[1:4], LAMP_M, strict=True))
-                    return "point:" + ",".join(f"{x:.3f}" for x in at)
-                n_vertices += 1
-    raise CommandFailed(f"{path.name}: it has no vertex {building.vertex + 1}")
+    line = next((line for line, is_moved in _lines(path, building) if is_moved), None)
+    if line is None:
+        raise CommandFailed(f"{path.name}: it has no vertex {building.vertex + 1}")
+    at = (float(x) + m for x, m in zip(line.split()[1:4], LAMP_M, strict=True))
+    return "point:" + ",".join(f"{x:.3f}" for x in at)
 
 
 def write_edited(path: Path, building: Building, target: Path) -> None:
     """Copy an OBJ file with one vertex of a building moved to the east by `MOVE_M`."""
-    n_vertices = 0
-    with path.open("rb") as source, target.open("wb") as copy:
-        for line in source:
-            if line.startswith(b"v "):
-                if n_vertices == building.vertex:
-                    line = _moved(line)
-                n_vertices += 1
-            copy.write(line)
+    with target.open("wb") as copy:
+        for line, is_moved in _lines(path, building):
+            copy.write(_moved(line) if is_moved else line)
 
 
 def write_without(path: Path, building: Building, target: Path) -> None:
@@ -111,6 +103,16 @@ def write_without(path: Path, building: Building, target: Path) -> None:
             is_inside = building.first_line <= number < building.end_line
             if not (is_inside and line.startswith((b"f ", b"o "))):
                 copy.write(line)
+
+
+def _lines(path: Path, building: Building) -> Iterator[tuple[bytes, bool]]:
+    """Yield each line of an OBJ file, and whether it is the vertex of a building that is moved."""
+    n_vertices = 0
+    with path.open("rb") as source:
+        for line in source:
+            is_vertex = line.startswith(b"v ")
+            yield line, is_vertex and n_vertices == building.vertex
+            n_vertices += is_vertex
 
 
 def _objects(path: Path) -> list[Building]:

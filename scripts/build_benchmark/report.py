@@ -17,21 +17,17 @@ from build_benchmark.rounds import (
     FILLED,
     FIRST,
     FULL,
+    FULL_OF,
     HELP,
     INCREMENTAL,
-    LAMP_EDITED,
-    LAMP_FULL,
     LARGE,
     LITTLE_MEMORY,
     MEMORY,
     MODULES,
     PLAIN_TYPER,
     REGION,
-    REMOVED,
     RICH_TYPER,
     SVPREP_HELP,
-    UNEDITED,
-    UNLIT,
     Row,
 )
 from build_benchmark.series import Series, middle_s, spread
@@ -213,10 +209,8 @@ def _help(figures: Figures) -> Iterator[str]:
 def _incremental(figures: Figures) -> Iterator[str]:
     yield from ("## Over an older cache", "", INCREMENTAL_EXPLAINED.replace("\n", " "), "")
     rows = []
-    names = dict.fromkeys((FULL, UNEDITED, EDITED, REMOVED, UNLIT), FULL)
-    for name, of_name in (names | dict.fromkeys((LAMP_FULL, LAMP_EDITED), LAMP_FULL)).items():
-        full = figures.series(INCREMENTAL, of_name)
-        series = figures.series(INCREMENTAL, name)
+    for name, full_name in FULL_OF.items():
+        full, series = (figures.series(INCREMENTAL, each) for each in (full_name, name))
         builds = series.builds
         with_clamp = bool(builds[0].lights)
         between = [middle_s(built, with_clamp=with_clamp) for built in builds]

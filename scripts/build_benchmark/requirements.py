@@ -13,10 +13,10 @@ from build_benchmark.rounds import (
     FILLED,
     FIRST,
     FULL,
+    FULL_OF,
     HELP,
     INCREMENTAL,
     LAMP_EDITED,
-    LAMP_FULL,
     LARGE,
     LITTLE_MEMORY,
     PLAIN_TYPER,
@@ -88,8 +88,10 @@ def _help(figures: Figures) -> Iterator[Requirement]:
 def _incremental(figures: Figures) -> Iterator[Requirement]:
     again = 0
     name = "one building edited: stages between load and write, of the full build's"
-    for after, before, light in ((EDITED, FULL, ""), (LAMP_EDITED, LAMP_FULL, ", with a lamp")):
-        edited, full = (figures.series(INCREMENTAL, each).builds for each in (after, before))
+    for after, light in ((EDITED, ""), (LAMP_EDITED, ", with a lamp")):
+        edited, full = (
+            figures.series(INCREMENTAL, each).builds for each in (after, FULL_OF[after])
+        )
         shares = [middle_s(a) / middle_s(b) for a, b in zip(edited, full, strict=True)]
         yield _row(name + light, MOST_OF_STAGES, shares, 3)
         again = max(again, *(built.objects - built.reused for built in edited))

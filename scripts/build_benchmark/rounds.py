@@ -59,6 +59,11 @@ UNEDITED, EDITED, REMOVED, UNLIT = (
     "the light dropped",
 )
 LAMP_FULL, LAMP_EDITED = "svprep build, a lamp", "a building edited, a lamp"
+FULL_OF: Final = {
+    **dict.fromkeys((FULL, UNEDITED, EDITED, REMOVED, UNLIT), FULL),
+    **dict.fromkeys((LAMP_FULL, LAMP_EDITED), LAMP_FULL),
+}
+"""The full builds that builds over an older cache are compared with, in the report's order."""
 EMPTY, FILLED = "no kernel compiled", "the same kernels, compiled"
 LARGE, LITTLE_MEMORY = "ten times the city", f"ten times the city, --memory {MEMORY}"
 SVPREP_HELP, PLAIN_TYPER, RICH_TYPER = "svprep --help", "bare Typer, plain", "bare Typer, Rich"

@@ -154,19 +154,27 @@ def write_for_ever(path: Path, ready: Event) -> None:
         write_cache(OLD, path)
 
 
-def test_killed_at_random_times(old: Path) -> None:
+def ended_at_random_times(old: Path, write: object, number: int, n_times: int) -> Iterator[int]:
+    """Yield the exit codes of writers that were sent a signal; the cache is whole each time."""
     whole = [old.read_bytes()]
     write_cache(NEW, old)
     whole.append(old.read_bytes())
     rng = random.Random(5)
-    for _ in range(12):
+    for _ in range(n_times):
         ready = CONTEXT.Event()
-        child = in_child(write_for_ever, old, ready)
+        child = in_child(write, old, ready)
         assert ready.wait(60)
         time.sleep(rng.uniform(0.0, 0.06))
-        child.kill()
-        assert finish(child) == -signal.SIGKILL
+        assert child.pid is not None
+        os.kill(child.pid, number)
+        code = finish(child)
         assert old.read_bytes() in whole
+        yield code
+
+
+def test_killed_at_random_times(old: Path) -> None:
+    for code in ended_at_random_times(old, write_for_ever, signal.SIGKILL, 12):
+        assert code == -signal.SIGKILL
     write_cache(OLD, old)
     assert names_in(old.parent) == [old.name]
 
@@ -181,19 +189,8 @@ def write_until_interrupted(path: Path, ready: Event) -> None:
 
 
 def test_interrupted_at_random_times(old: Path) -> None:
-    whole = [old.read_bytes()]
-    write_cache(NEW, old)
-    whole.append(old.read_bytes())
-    rng = random.Random(7)
-    for _ in range(24):
-        ready = CONTEXT.Event()
-        child = in_child(write_until_interrupted, old, ready)
-        assert ready.wait(60)
-        time.sleep(rng.uniform(0.0, 0.06))
-        assert child.pid is not None
-        os.kill(child.pid, signal.SIGINT)
-        assert finish(child) == 5
-        assert old.read_bytes() in whole
+    for code in ended_at_random_times(old, write_until_interrupted, signal.SIGINT, 24):
+        assert code == 5
         assert names_in(old.parent) == [old.name]
 
 
